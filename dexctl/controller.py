@@ -1,0 +1,96 @@
+"""Controller: what every controller, learned policies included, looks like from outside."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput
+from dexctl.hand import HandModel
+from dexctl.state import Bools, Floats, GraspState
+
+
+class Controller(ABC):
+    """Maps a :class:`GraspState` to a change of joint set-points.
+
+    The caller applies ``q_target = clip(q_target + act(state), lower, upper)`` once every
+    ``control_period`` seconds. Speeds are held per second, so the motion does not depend on the
+    control rate. The same numbers come out for one hand ``()`` and for each of a batch ``(N,)``.
+
+    Attributes:
+        hand: the hand that is controlled.
+        control_period: time between two calls of :meth:`act` [s].
+    """
+
+    def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:
+        if not (np.isfinite(control_period) and control_period > 0):
+            raise InvalidInput(f"control_period is {control_period}; expected seconds above 0")
+        self.hand = hand
+        self.control_period = float(control_period)
+        self._diagnostics: dict[str, Any] = {}
+
+    @abstractmethod
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        """Forget the past of all environments, or of those in ``mask`` ``(N,)``.
+
+        Args:
+            seed: restarts the random streams too; environment i gets stream ``seed + i``, or
+                seed[i] where one is given for each. None: the streams go on.
+            mask: which environments; None is all of them, and lets the next :meth:`act` come
+                with another batch shape.
+        """
+
+    @abstractmethod
+    def act(self, state: GraspState) -> Floats:
+        """The set-point change ``(..., d)`` [rad] for this control period."""
+
+    @property
+    def diagnostics(self) -> Mapping[str, Any]:
+        """What the last :meth:`act` found: named arrays with the batch dimensions in front."""
+        return MappingProxyType(self._diagnostics)
+
+
+@final
+class Superposition(Controller):
+    """The sum of several controllers' actions (thesis chapter 4, psi_FG = psi_IGM + psi_CS)."""
+
+    def __init__(self, controllers: Sequence[Controller]) -> None:
+        if not controllers:
+            raise InvalidInput("Superposition got no controllers; expected at least one")
+        periods = {controller.control_period for controller in controllers}
+        if len(periods) > 1 or any(c.hand is not controllers[0].hand for c in controllers):
+            raise InvalidInput("Superposition needs controllers of one hand and one control_period")
+        super().__init__(controllers[0].hand, control_period=controllers[0].control_period)
+        self.controllers = tuple(controllers)
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        for controller in self.controllers:
+            controller.reset(seed, mask)
+
+    def act(self, state: GraspState) -> Floats:
+        action = self.controllers[0].act(state)
+        for controller in self.controllers[1:]:
+            action = action + controller.act(state)
+        self._diagnostics = {
+            f"{i}.{name}": value
+            for i, controller in enumerate(self.controllers)
+            for name, value in controller.diagnostics.items()
+        }
+        return action
+
+
+def check_state(hand: HandModel, state: GraspState) -> None:
+    """Raise InvalidInput where ``state`` is not of this hand, or not finite.
+
+    Rows of fingers out of contact may hold anything.
+    """
+    if state.q.shape[-1] != hand.nq or state.in_contact.shape[-1] != hand.n_fingers:
+        raise InvalidInput(
+            f"state has {state.q.shape[-1]} joints and {state.in_contact.shape[-1]} fingers; "
+            f"the hand has {hand.nq} joints and {hand.n_fingers} fingers"
+        )

@@ -1,0 +1,364 @@
+"""HandModel: the kinematics of a hand of serial fingers, on pinocchio.
+
+This is pinocchio's only door into dexctl.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio
+from numpy.typing import ArrayLike, NDArray
+
+from dexctl.description import Description, Joint, read_mjcf, read_urdf
+from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
+from dexctl.state import Bools, Floats
+
+# p @ _SKEW, reshaped to (3, 3), is -[p]x: the matrix that maps w to w x p.
+_SKEW = np.zeros((3, 9))
+for _row, _col, _axis, _sign in (
+    (0, 1, 2, 1), (0, 2, 1, -1), (1, 0, 2, -1), (1, 2, 0, 1), (2, 0, 1, 1), (2, 1, 0, -1),
+):  # fmt: skip
+    _SKEW[_axis, 3 * _row + _col] = _sign
+
+
+class HandConfiguration(NamedTuple):
+    """Forward kinematics at one q (or a batch of them): what Jacobians are made from.
+
+    Attributes:
+        fingertip_position: ``(..., m, 3)`` [m], world frame.
+        joint_twist: ``(..., 6, d)``; column k is the (linear, angular) velocity that joint k
+            gives, at unit speed, to the point of a moved body that is at the world's origin.
+        moves: ``(m, d)`` bool; which joints move which fingertip.
+    """
+
+    fingertip_position: Floats
+    joint_twist: Floats
+    moves: Bools
+
+    def contact_jacobian(self, contact_position: Floats) -> Floats:
+        """Velocities of points ``(..., m, 3)`` fixed on the distal links, ``(..., m, 3, d)``."""
+        skew = (contact_position @ _SKEW).reshape(*contact_position.shape, 3)
+        linear, angular = self.joint_twist[..., None, :3, :], self.joint_twist[..., None, 3:, :]
+        jacobian = skew @ angular
+        jacobian += linear
+        jacobian *= self.moves[:, None, :]
+        return jacobian
+
+
+class HandModel:
+    """A hand of m serial fingers with d joints, on a wrist or not.
+
+    Built by :meth:`from_mjcf` or :meth:`from_urdf`. Joints are in the order of the fingertips
+    given, base to tip; a joint shared by several fingers (a wrist) stands where it is met first,
+    before theirs. Joints that follow another (mimic, equality) are not among the d: they move
+    with their master. Joints that move no fingertip are left at their reference position and
+    listed in ``ignored_joints``. One evaluation at a time: methods may be called from any
+    thread, they take turns.
+
+    Attributes:
+        nq: d, number of joints.
+        n_fingers: m, number of fingertips.
+        joint_names: names of the d joints, in order.
+        fingertip_names: body, site or link name of each fingertip, in order.
+        fingertip_bodies: the body that each fingertip is on, in order.
+        fingertip_offsets: where the tip is in its body's frame, ``(m, 3)`` [m].
+        lower, upper: joint limits, ``(d,)`` [rad], infinite where the file gives none.
+        effort: joint torque limits, ``(d,)`` [N m], infinite where the file gives none.
+        velocity: joint speed limits, ``(d,)`` [rad/s], infinite where the file gives none.
+        moves: which joints move which fingertip, ``(m, d)`` bool.
+        shares_joints: whether some joint moves more than one fingertip.
+        ignored_joints: joints of the file that move no fingertip.
+        path: the file that the hand came from.
+    """
+
+    def __init__(
+        self,
+        description: Description,
+        fingertips: Sequence[str] | Mapping[str, ArrayLike],
+        path: Path,
+        joints: Sequence[str] | None = None,
+    ) -> None:
+        self.path = path
+        self._arguments = (description, fingertips, path, joints)
+        self._resolve_fingertips(description, fingertips)
+        chains = [self._chain(description, body) for body in self._tip_body]
+        mimics = description.mimics
+        used = _unique(joint.name for chain in chains for _, joint in chain)
+        for name in used:  # a master may sit on no finger (a drive): its slaves still need it
+            _check_mimic(path, name, description)
+        masters = _unique(
+            master for name in used if (master := _master(name, mimics)) is not None
+        )
+        if joints is not None and sorted(joints) != sorted(masters):
+            raise HandModelError(
+                f"{path}: the joint order {list(joints)} is not an order of the joints that move "
+                f"the fingertips: {', '.join(masters)}"
+            )
+        order = list(joints) if joints is not None else masters
+        self._build(description, chains, used, order)
+
+    @classmethod
+    def from_mjcf(
+        cls,
+        path: str | Path,
+        fingertips: Sequence[str] | Mapping[str, ArrayLike],
+        *,
+        joints: Sequence[str] | None = None,
+    ) -> HandModel:
+        """A hand from an MJCF file, which may hold other bodies too.
+
+        Args:
+            path: the file.
+            fingertips: one body or site name for each finger; a body stands for the origin of
+                its frame unless a mapping gives the tip's offset in that frame [m].
+            joints: the joints in the order wanted, if not the stated one.
+
+        Raises:
+            HandModelError: the file cannot be read or holds no such hand (a free or ball joint
+                above a fingertip, a fingertip that no joint moves, nonlinear couplings).
+            UnknownName: a fingertip is neither a body nor a site.
+        """
+        return cls._from_file(path, read_mjcf, fingertips, joints)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | Path,
+        fingertips: Sequence[str] | Mapping[str, ArrayLike],
+        *,
+        joints: Sequence[str] | None = None,
+    ) -> HandModel:
+        """A hand from a URDF file; fingertips are links. Arguments and errors: `from_mjcf`."""
+        return cls._from_file(path, read_urdf, fingertips, joints)
+
+    @classmethod
+    def _from_file(
+        cls,
+        path: str | Path,
+        reader: Callable[[Path], Description],
+        fingertips: Sequence[str] | Mapping[str, ArrayLike],
+        joints: Sequence[str] | None,
+    ) -> HandModel:
+        path = Path(path).expanduser()
+        if not path.is_file():
+            raise HandModelError(f"{path}: no such file")
+        return cls(reader(path), fingertips, path, joints)
+
+    def configuration(self, q: ArrayLike) -> HandConfiguration:
+        """Forward kinematics at ``q`` ``(..., d)`` [rad].
+
+        Raises:
+            InvalidInput: q has another number of joints.
+        """
+        q = np.asarray(q, float)
+        if q.ndim == 0 or q.shape[-1] != self.nq:
+            raise InvalidInput(f"q has shape {q.shape}; expected (..., {self.nq})")
+        full = q if self._expand is None else q @ self._expand + self._expand_offset
+        batch = q.shape[:-1]
+        rows = full.reshape(-1, full.shape[-1])
+        twists = np.empty((len(rows), 6, rows.shape[-1]))
+        origins = np.empty((len(rows), self.n_fingers, 3))
+        rotations = np.empty((len(rows), self.n_fingers, 3, 3))
+        with self._lock:
+            for i, row in enumerate(rows):
+                pinocchio.computeJointJacobians(self._model, self._data, row)
+                twists[i] = self._twist_view
+                for k, (translation, rotation) in enumerate(self._tip_views):
+                    origins[i, k] = translation
+                    rotations[i, k] = rotation
+        tips = (rotations @ self._tip_offset[..., None])[..., 0] + origins
+        if self._expand is not None:
+            twists = twists @ self._expand.T
+        return HandConfiguration(
+            tips.reshape(*batch, self.n_fingers, 3),
+            twists.reshape(*batch, 6, self.nq),
+            self.moves,
+        )
+
+    def fingertip_positions(self, q: ArrayLike) -> Floats:
+        """Fingertip positions ``(..., m, 3)`` [m], world frame, at ``q`` ``(..., d)``."""
+        return self.configuration(q).fingertip_position
+
+    def contact_jacobian(self, q: ArrayLike, contact_position: ArrayLike) -> Floats:
+        """Jacobians ``(..., m, 3, d)`` of contact points fixed on the distal links.
+
+        ``contact_position`` is ``(..., m, 3)`` [m], world frame; row i is a point of finger i's
+        distal link. J dq is the velocity of those points (J_S of the thesis, chapter 4).
+        """
+        points = np.asarray(contact_position, float)
+        q = np.asarray(q, float)
+        if points.shape != (*q.shape[:-1], self.n_fingers, 3):
+            raise InvalidInput(
+                f"contact_position has shape {points.shape}; expected "
+                f"{(*q.shape[:-1], self.n_fingers, 3)}"
+            )
+        return self.configuration(q).contact_jacobian(points)
+
+    def clip(self, q: Floats) -> Floats:
+        """``q`` within the joint limits."""
+        return np.minimum(np.maximum(q, self.lower), self.upper)
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), self._arguments  # pinocchio's data is rebuilt, not pickled
+
+    def __repr__(self) -> str:
+        return f"HandModel({str(self.path)!r}, {self.n_fingers} fingers, {self.nq} joints)"
+
+    def _resolve_fingertips(
+        self, description: Description, fingertips: Sequence[str] | Mapping[str, ArrayLike]
+    ) -> None:
+        if isinstance(fingertips, str) or not len(fingertips):
+            raise HandModelError(
+                f"{self.path}: fingertips is {fingertips!r}; expected a list of body or site names"
+            )
+        names = list(fingertips)
+        if len(set(names)) != len(names):
+            raise HandModelError(f"{self.path}: a fingertip is named twice in {names}")
+        body_index = {body.name: i for i, body in enumerate(description.bodies)}
+        self._tip_body, offsets = [], []
+        for name in names:
+            if name in body_index:
+                body, offset = body_index[name], np.zeros(3)
+            elif name in description.sites:
+                body, offset = description.sites[name]
+            else:
+                raise UnknownName("fingertip", name, [*body_index, *description.sites])
+            if isinstance(fingertips, Mapping):
+                offset = offset + np.asarray(fingertips[name], float).reshape(3)
+            self._tip_body.append(body)
+            offsets.append(offset)
+        self.fingertip_names = tuple(names)
+        self.fingertip_bodies = tuple(description.bodies[b].name for b in self._tip_body)
+        self.fingertip_offsets = np.array(offsets)
+        self.n_fingers = len(names)
+
+    def _chain(self, description: Description, body: int) -> list[tuple[int, Joint]]:
+        """The (body, joint) pairs from the world to ``body``."""
+        tip, chain = description.bodies[body].name, []
+        while body >= 0:
+            chain = [(body, joint) for joint in description.bodies[body].joints] + chain
+            body = description.bodies[body].parent
+        for _, joint in chain:
+            if joint.kind not in ("hinge", "slide"):
+                raise HandModelError(
+                    f"{self.path}: joint {joint.name!r} above the fingertip {tip!r} is of kind "
+                    f"{joint.kind!r}; the base must be fixed and fingers have hinge or slide "
+                    "joints only"
+                )
+        if not chain:
+            raise HandModelError(f"{self.path}: no joint moves the fingertip {tip!r}")
+        return chain
+
+    def _build(
+        self,
+        description: Description,
+        chains: list[list[tuple[int, Joint]]],
+        used: list[str],
+        order: list[str],
+    ) -> None:
+        """Make the pinocchio model of the bodies on the chains, and the maps into it."""
+        all_joints = {j.name: j for body in description.bodies for j in body.joints}
+        model = pinocchio.Model()
+        placed: dict[int, tuple[int, pinocchio.SE3]] = {-1: (0, pinocchio.SE3.Identity())}
+
+        def place(body: int) -> tuple[int, pinocchio.SE3]:
+            """The pinocchio joint that carries ``body``, and the body's placement on it."""
+            if body in placed:
+                return placed[body]
+            item = description.bodies[body]
+            parent, offset = place(item.parent)
+            offset = offset * pinocchio.SE3(item.rotation, item.translation)
+            for joint in item.joints:
+                anchor = pinocchio.SE3(np.eye(3), joint.anchor)
+                if joint.kind == "hinge":
+                    kind = pinocchio.JointModelRevoluteUnaligned(joint.axis)
+                    turn = pinocchio.AngleAxis(-joint.reference, joint.axis).matrix()
+                    back = pinocchio.SE3(turn, np.zeros(3))
+                else:
+                    kind = pinocchio.JointModelPrismaticUnaligned(joint.axis)
+                    back = pinocchio.SE3(np.eye(3), -joint.reference * joint.axis)
+                parent = model.addJoint(parent, kind, offset * anchor * back, joint.name)
+                offset = anchor.inverse()
+            placed[body] = (parent, offset)
+            return placed[body]
+
+        carriers = [place(body) for body in self._tip_body]
+        self._model, self._data = model, model.createData()
+        self._lock = threading.Lock()
+        self._tip_offset = np.array(
+            [offset.act(tip) for (_, offset), tip in zip(carriers, self.fingertip_offsets, strict=True)]
+        )
+        pinocchio.computeJointJacobians(model, self._data, np.zeros(model.nq))
+        # pinocchio writes in place, so these views show every later evaluation
+        self._twist_view = self._data.J
+        self._tip_views = [
+            (self._data.oMi[joint].translation, self._data.oMi[joint].rotation)
+            for joint, _ in carriers
+        ]
+
+        slots = list(model.names)[1:]
+        expand = np.zeros((len(order), len(slots)))
+        offsets = np.zeros(len(slots))
+        for slot, name in enumerate(slots):
+            master, scale, offsets[slot] = _resolve(name, description.mimics)
+            if master is not None:
+                expand[order.index(master), slot] = scale
+        plain = slots == order and not description.mimics.keys() & set(used)
+        self._expand = None if plain else expand
+        self._expand_offset = offsets
+
+        on_chain = np.zeros((self.n_fingers, len(slots)), bool)
+        for finger, chain in enumerate(chains):
+            on_chain[finger, [slots.index(joint.name) for _, joint in chain]] = True
+        self.moves = (on_chain.astype(float) @ (expand != 0).T) > 0
+        self.shares_joints = bool((self.moves.sum(axis=0) > 1).any())
+        self.joint_names = tuple(order)
+        self.nq = len(order)
+        found = [all_joints[name] for name in order]
+        self.lower = np.array([joint.lower for joint in found])
+        self.upper = np.array([joint.upper for joint in found])
+        self.effort = np.array([joint.effort for joint in found])
+        self.velocity = np.array([joint.velocity for joint in found])
+        self.ignored_joints = tuple(n for n in all_joints if n not in used and n not in order)
+
+
+def _unique(names) -> list[str]:
+    return list(dict.fromkeys(names))
+
+
+def _resolve(name: str, mimics: Mapping) -> tuple[str | None, float, float]:
+    """``name`` = scale * master + offset, through chains of mimics."""
+    scale, offset, current, seen = 1.0, 0.0, name, {name}
+    while current in mimics:
+        mimic = mimics[current]
+        offset += scale * mimic.offset
+        scale *= mimic.scale
+        if mimic.master is None:
+            return None, 0.0, offset
+        current = mimic.master
+        if current in seen:
+            raise HandModelError(f"joint {name!r} follows itself through {', '.join(sorted(seen))}")
+        seen.add(current)
+    return current, scale, offset
+
+
+def _master(name: str, mimics: Mapping) -> str | None:
+    return _resolve(name, mimics)[0]
+
+
+def _check_mimic(path: Path, name: str, description: Description) -> None:
+    names = {joint.name for body in description.bodies for joint in body.joints}
+    master = _master(name, description.mimics)
+    if master is not None and master not in names:
+        raise HandModelError(f"{path}: joint {name!r} follows {master!r}, which is not there")
+
+
+def random_configurations(hand: HandModel, count: int, seed: int) -> NDArray[np.float64]:
+    """``count`` joint vectors ``(count, d)``, uniform within the limits (pi where infinite)."""
+    lower, upper = np.maximum(hand.lower, -np.pi), np.minimum(hand.upper, np.pi)
+    return np.random.default_rng(seed).uniform(lower, upper, (count, hand.nq))

@@ -1,0 +1,98 @@
+"""GraspState: what a controller may see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dexctl.exceptions import InvalidInput
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraspState:
+    """Joints, touch and (where known) the object, at one moment, of one hand or of a batch.
+
+    Arrays carry leading batch dimensions ``(...)``: ``()`` for one hand, ``(N,)`` for N. World
+    frame, SI units. The thesis's observation (chapter 4) is [q, q', p, n, c].
+
+    Attributes:
+        q: joint positions, ``(..., d)`` [rad].
+        q_target: joint set-points, ``(..., d)`` [rad].
+        in_contact: which fingertips touch the object, ``(..., m)`` bool.
+        contact_position: contact point of each fingertip, ``(..., m, 3)`` [m].
+        contact_normal: unit normal from the fingertip into the object, ``(..., m, 3)``.
+        contact_force: normal force, >= 0, ``(..., m)`` [N]. Rows of the three contact arrays
+            whose finger is not in contact are zero and are never read.
+        object_position: object centre, ``(..., 3)`` [m], or None where nothing tracks it.
+        object_quaternion: object orientation wxyz, ``(..., 4)``, or None.
+        time: when the state was taken, ``(...)`` [s].
+        age: how old its oldest part is, ``(...)`` [s].
+
+    Raises:
+        InvalidInput: shapes that do not belong together; the message names the field.
+    """
+
+    q: Floats
+    q_target: Floats
+    in_contact: Bools
+    contact_position: Floats
+    contact_normal: Floats
+    contact_force: Floats
+    object_position: Floats | None = None
+    object_quaternion: Floats | None = None
+    time: Floats | float = 0.0
+    age: Floats | float = 0.0
+
+    def __post_init__(self) -> None:
+        q = _array(self, "q")
+        touch = _array(self, "in_contact", bool)
+        batch = q.shape[:-1]
+        fingers = (*batch, touch.shape[-1] if touch.ndim else 0)
+        _expect(self, "q_target", q.shape)
+        _expect(self, "in_contact", fingers, bool)
+        _expect(self, "contact_position", (*fingers, 3))
+        _expect(self, "contact_normal", (*fingers, 3))
+        _expect(self, "contact_force", fingers)
+        if self.object_position is not None:
+            _expect(self, "object_position", (*batch, 3))
+        if self.object_quaternion is not None:
+            _expect(self, "object_quaternion", (*batch, 4))
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """``()`` for one hand, ``(N,)`` for N."""
+        return self.q.shape[:-1]
+
+    def __getitem__(self, index: object) -> GraspState:
+        """The state of some environments: ``state[3]``, ``state[mask]``, ``state[None]``."""
+        fields = {}
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            fields[name] = np.asarray(value)[index] if np.ndim(value) else value
+        return GraspState(**fields)
+
+    def without(self, fingers: Bools) -> GraspState:
+        """The same state with ``fingers`` ``(..., m)`` counted as out of contact."""
+        return replace(self, in_contact=self.in_contact & ~fingers)
+
+
+def _array(state: GraspState, name: str, kind: type = float) -> NDArray:
+    value = getattr(state, name)
+    if not (type(value) is np.ndarray and value.dtype == kind):
+        value = np.asarray(value, kind)
+        object.__setattr__(state, name, value)
+    return value
+
+
+def _expect(state: GraspState, name: str, shape: tuple[int, ...], kind: type = float) -> None:
+    value = _array(state, name, kind)
+    if value.shape != shape:
+        raise InvalidInput(
+            f"GraspState.{name} has shape {value.shape}; expected {shape}, from q of shape "
+            f"{state.q.shape} and in_contact of shape {state.in_contact.shape}"
+        )

@@ -1,0 +1,95 @@
+"""Random streams: one per environment, drawn for all environments at once.
+
+A batch of N environments must give each of them the numbers that it would get alone. numpy's
+generators would need a Python loop over environments for that, so the streams are counter based:
+number k of a stream is a hash (SplitMix64: Steele, Lea, Flood, "Fast splittable pseudorandom
+number generators", 2014) of the stream's key and k. The whole state is two integers an
+environment.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX2 = np.uint64(0x94D049BB133111EB)
+
+
+class StreamsState(NamedTuple):
+    """All that decides the numbers to come: ``key`` and ``counter``, uint64 of batch shape."""
+
+    key: NDArray[np.uint64]
+    counter: NDArray[np.uint64]
+
+
+def _mix(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    z = (z ^ (z >> np.uint64(30))) * _MIX1
+    z = (z ^ (z >> np.uint64(27))) * _MIX2
+    return z ^ (z >> np.uint64(31))
+
+
+class Streams:
+    """Independent random streams, one per environment.
+
+    Environment i of a batch seeded with the integer s draws what a single environment seeded
+    with s + i draws.
+
+    Args:
+        seed: one integer, or one per environment (an array of the batch shape).
+        batch_shape: ``()`` for one environment, ``(N,)`` for N.
+    """
+
+    def __init__(self, seed: ArrayLike, batch_shape: tuple[int, ...] = ()) -> None:
+        self.batch_shape = batch_shape
+        self._key = self._keys(seed)
+        self._counter = np.zeros(batch_shape, np.uint64)
+
+    def _keys(self, seed: ArrayLike) -> NDArray[np.uint64]:
+        seeds = np.asarray(seed)
+        if seeds.ndim == 0 and self.batch_shape:
+            offset = np.arange(int(np.prod(self.batch_shape)), dtype=np.uint64)
+            seeds = np.uint64(int(seeds) % 2**64) + offset.reshape(self.batch_shape)
+        wrapped = np.atleast_1d(seeds).astype(np.uint64, copy=True).reshape(self.batch_shape or (1,))
+        return _mix(_mix(wrapped + _GOLDEN) + _GOLDEN).reshape(self.batch_shape)
+
+    def reseed(self, seed: ArrayLike, mask: NDArray[np.bool_] | None = None) -> None:
+        """Start the streams (of the environments in ``mask``) anew."""
+        chosen = np.ones(self.batch_shape, bool) if mask is None else np.asarray(mask, bool)
+        self._key = np.where(chosen, self._keys(seed), self._key)
+        self._counter = np.where(chosen, np.uint64(0), self._counter)
+
+    def uniform(
+        self, shape: tuple[int, ...] = (), mask: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float64]:
+        """Numbers in [0, 1) of shape ``(*batch, *shape)``.
+
+        Only the streams in ``mask`` move on; the numbers of the others are to be thrown away.
+        """
+        count = int(np.prod(shape))
+        index = np.arange(1, count + 1, dtype=np.uint64)
+        with np.errstate(over="ignore"):
+            bits = _mix(self._key[..., None] + (self._counter[..., None] + index) * _GOLDEN)
+            step = np.uint64(count)
+            moved = self._counter + step
+            self._counter = moved if mask is None else np.where(mask, moved, self._counter)
+        return ((bits >> np.uint64(11)) * 2.0**-53).reshape(self.batch_shape + shape)
+
+    def normal(
+        self, shape: tuple[int, ...] = (), mask: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float64]:
+        """Standard normal numbers of shape ``(*batch, *shape)`` (Box-Muller, two draws each)."""
+        pair = self.uniform((*shape, 2), mask)
+        radius = np.sqrt(-2.0 * np.log1p(-pair[..., 0]))
+        return radius * np.cos(2.0 * np.pi * pair[..., 1])
+
+    def save(self) -> StreamsState:
+        """The state of the streams, to be given to :meth:`restore`."""
+        return StreamsState(self._key.copy(), self._counter.copy())
+
+    def restore(self, saved: StreamsState) -> None:
+        """Continue from a saved state."""
+        self._key, self._counter = saved.key.copy(), saved.counter.copy()
