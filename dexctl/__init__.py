@@ -1,4 +1,91 @@
-"""Controllers for multi-fingered robot hands."""
+"""Controllers for multi-fingered robot hands.
+
+One line tells the flow: ``HandModel + GraspState -> Grasp -> stability forces (QP) ->
+Controller.act -> joint set-point change -> Plant -> GraspState``.
+
+``import dexctl`` loads numpy, scipy and pinocchio only. The rooms below it (`dexctl.grasp`,
+`dexctl.igm`, `dexctl.switch`, `dexctl.gait`, `dexctl.sim`) and their controllers are loaded when
+they are first named, and bring casadi, proxsuite, mink or MuJoCo when these are first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
 from dexctl import hands
+from dexctl.controller import Controller, Superposition
+from dexctl.exceptions import (
+    DexctlError,
+    HandModelError,
+    InvalidInput,
+    MissingExtra,
+    SimulationError,
+    UnknownName,
+)
 from dexctl.hand import HandModel
+from dexctl.plant import Plant
 from dexctl.state import GraspState
+
+if TYPE_CHECKING:
+    from dexctl import gait, grasp, igm, sim, switch
+    from dexctl.gait import FingerGaiting
+    from dexctl.igm import InGraspManipulation
+    from dexctl.switch import ContactSwitch
+
+try:
+    __version__ = version("dexctl")
+except PackageNotFoundError:  # run from a checkout that was never installed
+    __version__ = "0+unknown"
+
+__all__ = [
+    "ContactSwitch",
+    "Controller",
+    "DexctlError",
+    "FingerGaiting",
+    "GraspState",
+    "HandModel",
+    "HandModelError",
+    "InGraspManipulation",
+    "InvalidInput",
+    "MissingExtra",
+    "Plant",
+    "SimulationError",
+    "Superposition",
+    "UnknownName",
+    "__version__",
+    "gait",
+    "grasp",
+    "hands",
+    "igm",
+    "sim",
+    "switch",
+]
+
+# Names that are loaded when first used: the module, and the attribute of it (None: the module).
+_LAZY: dict[str, tuple[str, str | None]] = {
+    "grasp": ("dexctl.grasp", None),
+    "igm": ("dexctl.igm", None),
+    "switch": ("dexctl.switch", None),
+    "gait": ("dexctl.gait", None),
+    "sim": ("dexctl.sim", None),
+    "InGraspManipulation": ("dexctl.igm", "InGraspManipulation"),
+    "ContactSwitch": ("dexctl.switch", "ContactSwitch"),
+    "FingerGaiting": ("dexctl.gait", "FingerGaiting"),
+}
+
+
+def __getattr__(name: str) -> object:
+    """Load a name of ``_LAZY`` (PEP 562); later uses find it in the module directly."""
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module_name, attribute = _LAZY[name]
+    module = import_module(module_name)
+    value = module if attribute is None else getattr(module, attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

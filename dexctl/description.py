@@ -96,10 +96,12 @@ def read_mjcf(path: Path) -> Description:
             )
         )
     for a in range(model.nu):
-        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_forcelimited[a]:
+        on_joint = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+        if on_joint and model.actuator_forcelimited[a]:
             joint = joints[model.actuator_trnid[a, 0]]
             gear = abs(float(model.actuator_gear[a, 0]))
-            joint.effort = min(joint.effort, gear * float(np.abs(model.actuator_forcerange[a]).max()))
+            force = float(np.abs(model.actuator_forcerange[a]).max())
+            joint.effort = min(joint.effort, gear * force)
     bodies = []
     for b in range(model.nbody):
         first, count = model.body_jntadr[b], model.body_jntnum[b]

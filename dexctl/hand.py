@@ -91,9 +91,7 @@ class HandModel:
         used = _unique(joint.name for chain in chains for _, joint in chain)
         for name in used:  # a master may sit on no finger (a drive): its slaves still need it
             _check_mimic(path, name, description)
-        masters = _unique(
-            master for name in used if (master := _master(name, mimics)) is not None
-        )
+        masters = _unique(master for name in used if (master := _master(name, mimics)) is not None)
         if joints is not None and sorted(joints) != sorted(masters):
             raise HandModelError(
                 f"{path}: the joint order {list(joints)} is not an order of the joints that move "
@@ -291,7 +289,10 @@ class HandModel:
         self._model, self._data = model, model.createData()
         self._lock = threading.Lock()
         self._tip_offset = np.array(
-            [offset.act(tip) for (_, offset), tip in zip(carriers, self.fingertip_offsets, strict=True)]
+            [
+                placement.act(tip)
+                for (_, placement), tip in zip(carriers, self.fingertip_offsets, strict=True)
+            ]
         )
         pinocchio.computeJointJacobians(model, self._data, np.zeros(model.nq))
         # pinocchio writes in place, so these views show every later evaluation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ class GraspState:
         """``()`` for one hand, ``(N,)`` for N."""
         return self.q.shape[:-1]
 
-    def __getitem__(self, index: object) -> GraspState:
+    def __getitem__(self, index: Any) -> GraspState:
         """The state of some environments: ``state[3]``, ``state[mask]``, ``state[None]``."""
         fields = {}
         for name in self.__dataclass_fields__:

@@ -53,7 +53,8 @@ class Streams:
         if seeds.ndim == 0 and self.batch_shape:
             offset = np.arange(int(np.prod(self.batch_shape)), dtype=np.uint64)
             seeds = np.uint64(int(seeds) % 2**64) + offset.reshape(self.batch_shape)
-        wrapped = np.atleast_1d(seeds).astype(np.uint64, copy=True).reshape(self.batch_shape or (1,))
+        # one dimension at least: numpy wraps arrays silently, and warns of it for scalars
+        wrapped = np.atleast_1d(seeds).astype(np.uint64).reshape(self.batch_shape or (1,))
         return _mix(_mix(wrapped + _GOLDEN) + _GOLDEN).reshape(self.batch_shape)
 
     def reseed(self, seed: ArrayLike, mask: NDArray[np.bool_] | None = None) -> None:
@@ -84,7 +85,7 @@ class Streams:
         """Standard normal numbers of shape ``(*batch, *shape)`` (Box-Muller, two draws each)."""
         pair = self.uniform((*shape, 2), mask)
         radius = np.sqrt(-2.0 * np.log1p(-pair[..., 0]))
-        return radius * np.cos(2.0 * np.pi * pair[..., 1])
+        return np.multiply(radius, np.cos(2.0 * np.pi * pair[..., 1]))
 
     def save(self) -> StreamsState:
         """The state of the streams, to be given to :meth:`restore`."""

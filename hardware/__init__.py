@@ -1,0 +1,1 @@
+"""Real servo hands as plants for dexctl's controllers."""

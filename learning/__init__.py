@@ -1,0 +1,1 @@
+"""Reinforcement learning with dexctl's controllers as action priors."""
