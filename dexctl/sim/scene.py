@@ -1,0 +1,296 @@
+"""Scene: one hand and one object in one MuJoCo model."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl import hands
+from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
+from dexctl.hand import HandModel
+from dexctl.sim.objects import MESH, add_object
+from dexctl.sim.tactile import add_sensors
+from dexctl.state import Floats
+
+if TYPE_CHECKING:
+    from dexctl.sim.settle import SettledGrasp
+
+GRAVITY = {"up": (0.0, 0.0, -9.81), "down": (0.0, 0.0, 9.81)}
+TIMESTEP = 0.005
+
+
+class Scene:
+    """A hand holding an object, ready to be simulated. Build one with :meth:`build`.
+
+    The hand stays where its file puts it; the direction of gravity says how it is held.
+
+    Attributes:
+        hand: the hand's kinematics.
+        object: the object's name.
+        gravity: ``(3,)`` [m/s^2], hand (= world) frame.
+        object_mass: [kg].
+        object_width: [m], 0 for a mesh that keeps its own size.
+        grasp_centre: where the object is held, ``(3,)`` [m].
+        open_q: the open hand, ``(d,)`` [rad].
+        grip: normal force that each finger of the settled grasp aims at [N].
+        model: the MuJoCo model that is stepped: no visual geoms, contact sensors added.
+        qpos_columns, qvel_columns: the hand's d joints in ``qpos`` and ``qvel``.
+        object_qpos: the object's pose in ``qpos``: position, quaternion wxyz.
+        object_qvel: the object's twist in ``qvel``.
+        actuators: the position servo of each of the d joints.
+        ctrl_per_radian: control value of that servo per radian of its joint, ``(d,)``.
+        stiffness: joint torque per radian of set-point error, ``(d,)`` [N m/rad].
+        lower, upper: set-point limits, ``(d,)`` [rad]: of the joint and of its servo.
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        spec: mujoco.MjSpec,
+        *,
+        object: str,
+        object_mass: float,
+        object_width: float,
+        gravity: Floats,
+        grasp_centre: Floats,
+        open_q: Floats,
+        grip: float,
+    ) -> None:
+        self.hand = hand
+        self.object = object
+        self.object_mass = object_mass
+        self.object_width = object_width
+        self.gravity = gravity
+        self.grasp_centre = grasp_centre
+        self.open_q = open_q
+        self.grip = grip
+        self._spec = spec
+        spec.compiler.discardvisual = True
+        self.model = _compile(spec, hand)
+        spec.compiler.discardvisual = False
+        self._find_joints()
+        self._find_servos()
+
+    @classmethod
+    def build(
+        cls,
+        hand: HandModel | str,
+        object: str = "cube",
+        gravity: str | ArrayLike = "up",
+        *,
+        object_mass: float = 0.1,
+        object_size: float | None = None,
+        friction: float | ArrayLike = 1.0,
+        object_mesh: str | Path | None = None,
+        grasp_centre: ArrayLike | None = None,
+        open_q: ArrayLike | None = None,
+        grip: float = 2.0,
+    ) -> Scene:
+        """Put a hand and an object into one scene.
+
+        Args:
+            hand: the hand, or its name.
+            object: one of `object_names`, or "mesh" with ``object_mesh``.
+            gravity: "up" (the palm looks up), "down", or a vector ``(3,)`` [m/s^2].
+            object_mass: [kg].
+            object_size: width of the object [m]. Default: what suits the hand; a mesh keeps its
+                own size.
+            friction: sliding coefficient of the object, or (sliding, torsional [m], rolling [m]).
+            object_mesh: STL or OBJ file of the object. MuJoCo uses its convex hull; decomposing a
+                concave object into convex parts is the user's part.
+            grasp_centre: where the hand holds the object, ``(3,)`` [m]. Default: from the list of
+                hands; must be given for others.
+            open_q: joints of the open hand, ``(d,)`` [rad]. Default: from the list of hands, else
+                the middle of each range.
+            grip: normal force that each finger of the settled grasp aims at [N].
+
+        Raises:
+            UnknownName: no such hand, object or gravity name.
+            InvalidInput: a number out of range.
+            SimulationError: MuJoCo cannot compile the scene, or a joint has no position servo.
+        """
+        model = hands.load(hand) if isinstance(hand, str) else hand
+        entry = _entry_of(model)
+        if entry is None and (grasp_centre is None or (object_size is None and object != MESH)):
+            raise InvalidInput(
+                f"{model.path.name} is not one of the known hands ({', '.join(hands.names())}): "
+                "say where and what it holds with grasp_centre=(x, y, z) and object_size, both in m"
+            )
+        if object_size is None:
+            width = 0.0 if object == MESH or entry is None else 2 * entry.object_radius
+        else:
+            width = _positive("object_size", object_size)
+        centre = _vector("grasp_centre", entry.grasp_centre if grasp_centre is None and entry else grasp_centre, 3)
+        if open_q is None:
+            opened = _open_hand(model, entry.open_q if entry else {})
+        else:
+            opened = model.clip(_vector("open_q", open_q, model.nq))
+        mass = _positive("object_mass", object_mass)
+        spec = _read_spec(model)
+        spec.option.timestep = TIMESTEP
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = 10
+        spec.option.gravity = gravity_vector(gravity)
+        others = _touchable_bodies(spec, model)
+        body = spec.worldbody.add_body(name="object", pos=centre)
+        body.add_freejoint(name="object")
+        add_object(
+            spec, body, object, width=width, mass=mass, friction=_friction(friction), mesh=object_mesh
+        )
+        add_sensors(spec, model.fingertip_bodies, others)
+        return cls(
+            model,
+            spec,
+            object=object,
+            object_mass=mass,
+            object_width=width,
+            gravity=gravity_vector(gravity),
+            grasp_centre=centre,
+            open_q=opened,
+            grip=_positive("grip", grip),
+        )
+
+    @property
+    def spec(self) -> mujoco.MjSpec:
+        """A copy of what `model` is compiled from, with everything visual still in it."""
+        return self._spec.copy()
+
+    @cached_property
+    def settled(self) -> SettledGrasp:
+        """The settled grasp of the object, found once (see `dexctl.sim.settle`).
+
+        Raises:
+            SimulationError: the object does not stay in the hand.
+        """
+        from dexctl.sim.settle import settle
+
+        return settle(self)
+
+    def _find_joints(self) -> None:
+        model = self.model
+        joints = [model.joint(name).id for name in self.hand.joint_names]
+        self.qpos_columns = model.jnt_qposadr[joints].copy()
+        self.qvel_columns = model.jnt_dofadr[joints].copy()
+        free = model.joint("object")
+        self.object_qpos = slice(int(free.qposadr[0]), int(free.qposadr[0]) + 7)
+        self.object_qvel = slice(int(free.dofadr[0]), int(free.dofadr[0]) + 6)
+
+    def _find_servos(self) -> None:
+        """The servo of each joint: a position actuator, force = kp (ctrl - gear q) - kv ..."""
+        model, hand = self.model, self.hand
+        servo_of = {}
+        for a in range(model.nu):
+            position = (
+                model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+                and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+                and model.actuator_gainprm[a, 0] > 0
+                and np.isclose(model.actuator_biasprm[a, 1], -model.actuator_gainprm[a, 0])
+            )
+            if position:
+                servo_of[model.joint(model.actuator_trnid[a, 0]).name] = a
+        missing = [name for name in hand.joint_names if name not in servo_of]
+        if missing:
+            raise SimulationError(
+                f"{hand.path}: no position actuator drives {', '.join(missing)}; every joint of "
+                "the hand needs one (<position joint=...>) to be simulated"
+            )
+        self.actuators = np.array([servo_of[name] for name in hand.joint_names])
+        gear = model.actuator_gear[self.actuators, 0]
+        self.ctrl_per_radian = gear.copy()
+        self.stiffness = model.actuator_gainprm[self.actuators, 0] * gear**2
+        limited = model.actuator_ctrllimited[self.actuators].astype(bool)
+        ends = np.sort(model.actuator_ctrlrange[self.actuators] / gear[:, None], axis=1)
+        self.lower = np.where(limited, np.maximum(hand.lower, ends[:, 0]), hand.lower)
+        self.upper = np.where(limited, np.minimum(hand.upper, ends[:, 1]), hand.upper)
+
+    def __repr__(self) -> str:
+        return f"Scene({self.hand.path.stem!r}, {self.object!r}, gravity={self.gravity.tolist()})"
+
+
+def gravity_vector(gravity: str | ArrayLike) -> Floats:
+    """``(3,)`` [m/s^2] from "up", "down" (which way the palm looks) or a vector."""
+    if isinstance(gravity, str):
+        if gravity not in GRAVITY:
+            raise UnknownName("gravity", gravity, [*GRAVITY, "a vector (x, y, z) in m/s^2"])
+        return np.array(GRAVITY[gravity])
+    return _vector("gravity", gravity, 3)
+
+
+def _compile(spec: mujoco.MjSpec, hand: HandModel) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise SimulationError(f"{hand.path}: MuJoCo cannot compile the scene: {error}") from None
+
+
+def _read_spec(hand: HandModel) -> mujoco.MjSpec:
+    try:
+        spec = mujoco.MjSpec.from_file(str(hand.path))
+    except ValueError as error:
+        raise SimulationError(f"{hand.path}: MuJoCo cannot read it: {error}") from None
+    spec.compiler.fusestatic = False  # a fingertip may be a body without joints
+    if spec.body("object") is not None:
+        raise SimulationError(f"{hand.path}: it has a body named 'object' already; rename that")
+    return spec
+
+
+def _touchable_bodies(spec: mujoco.MjSpec, hand: HandModel) -> tuple[str, ...]:
+    """The bodies with collision geoms, fingertips apart; those without a name are given one."""
+    found = []
+    for i, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = f"body_{i}"
+        if body.name in hand.fingertip_bodies or body.name == "world":
+            continue
+        if any(geom.contype or geom.conaffinity for geom in body.geoms):
+            found.append(body.name)
+    if any(geom.contype or geom.conaffinity for geom in spec.worldbody.geoms):
+        found.append("world")
+    return tuple(found)
+
+
+def _entry_of(hand: HandModel) -> hands.HandEntry | None:
+    """The list's entry of a hand, if it came from the same file with the same fingertips."""
+    for name in hands.names():
+        entry = hands.entry(name)
+        same_file = hand.path.as_posix().endswith(entry.file)
+        if same_file and set(hand.fingertip_names) == set(entry.fingertips):
+            return entry
+    return None
+
+
+def _open_hand(hand: HandModel, angles: dict[str, float]) -> Floats:
+    middle = np.where(
+        np.isfinite(hand.lower) & np.isfinite(hand.upper), (hand.lower + hand.upper) / 2, 0.0
+    )
+    named = [angles.get(name, middle[i]) for i, name in enumerate(hand.joint_names)]
+    return hand.clip(np.array(named))
+
+
+def _friction(friction: float | ArrayLike) -> tuple[float, float, float]:
+    values = np.atleast_1d(np.asarray(friction, float))
+    if values.shape not in ((1,), (3,)) or not np.all(np.isfinite(values) & (values >= 0)):
+        raise InvalidInput(
+            f"friction is {friction}; expected one number >= 0, or three (sliding, torsional, rolling)"
+        )
+    return tuple(values) if len(values) == 3 else (float(values[0]), 0.005, 0.0001)  # type: ignore
+
+
+def _positive(name: str, value: float) -> float:
+    number = float(value)
+    if not (np.isfinite(number) and number > 0):
+        raise InvalidInput(f"{name} is {value}; expected a finite number above 0")
+    return number
+
+
+def _vector(name: str, value: ArrayLike | None, length: int) -> Floats:
+    vector = np.asarray(value, float)
+    if vector.shape != (length,) or not np.isfinite(vector).all():
+        raise InvalidInput(f"{name} is {value}; expected {length} finite numbers")
+    return vector

@@ -1,0 +1,448 @@
+"""BatchSimulator: N hands, each with its object, stepped together by MuJoCo's rollout threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from mujoco.rollout import Rollout
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput, SimulationError
+from dexctl.rotations import inverse, multiply, rotation_vector
+from dexctl.sim.parameters import ParameterSet
+from dexctl.sim.scene import Scene
+from dexctl.sim.tactile import Tactile, TouchReading, TouchSensors, blur
+from dexctl.state import Bools, Floats, GraspState
+from dexctl.streams import Streams, StreamsState
+
+_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_CTRL = mujoco.mjtState.mjSTATE_CTRL.value
+# An object this far from the hand, or faster, is a simulation gone wrong even where it is finite.
+_FARTHEST = 100.0  # [m]
+_FASTEST = 1000.0  # [m/s], [rad/s]
+
+
+@dataclass(frozen=True)
+class SimulatorState:
+    """Everything that decides the future of a `BatchSimulator`; arrays have N rows.
+
+    Physics is MuJoCo's full physics state. The solver's warm start is not part of it because each
+    control step starts without one, which is what makes replays bitwise.
+    """
+
+    physics: Floats
+    q_target: Floats
+    ctrl: Floats
+    history: Floats
+    touch: TouchReading
+    steps: np.ndarray
+    diverged: Bools
+    angular_velocity: Floats
+    start_position: Floats
+    streams: StreamsState
+    parameters: dict[str, Floats]
+
+
+class BatchSimulator:
+    """N scenes of one hand and object behind the `Plant` interface.
+
+    ``num_envs=None`` is one hand: states without batch dimension ``()``; N gives ``(N,)``, and
+    environment i then behaves as a single one seeded with seed + i.
+
+    Contact readings belong to the beginning of the last physics step, one timestep before the
+    joints and the object's pose (MuJoCo computes forces before it integrates); `GraspState.age`
+    says so. Each control step starts the contact solver cold, so a step depends on nothing but
+    what :meth:`save` returns.
+
+    An environment whose simulation diverges (MuJoCo resets such a one silently) stays as it was
+    before that step, time included, and is marked in ``diverged`` until it is reset.
+
+    Args:
+        scene: hand and object.
+        num_envs: N, or None.
+        control_period: time of one :meth:`step` [s].
+        substeps: physics steps in it.
+        threads: how many; default all processor cores.
+        tactile: how well the fingertips feel.
+        disturbance: standard deviation of the set-points after a reset [rad].
+        seed: of the random streams.
+
+    Attributes:
+        hand, scene, control_period, substeps, tactile: as given.
+        num_envs: N, or None.
+        diverged: ``(N,)`` bool, latched until reset.
+        other_contact: force between the object and everything but fingertips, ``(N,)`` [N].
+        object_angular_velocity: ``(N, 3)`` [rad/s], world frame, from the difference of poses over
+            the last control period (the simulation's own velocity carries its vibrations).
+        start_position: the object's centre after the last reset, ``(N, 3)`` [m].
+
+    The last four have no leading dimension where ``num_envs`` is None.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int | None = None,
+        control_period: float = 0.05,
+        substeps: int = 10,
+        threads: int | None = None,
+        tactile: Tactile | None = None,
+        disturbance: float = 0.02,
+        seed: ArrayLike = 0,
+    ) -> None:
+        if num_envs is not None and not (isinstance(num_envs, (int, np.integer)) and num_envs > 0):
+            raise InvalidInput(f"num_envs is {num_envs!r}; expected a whole number above 0, or None")
+        if not (isinstance(substeps, (int, np.integer)) and substeps > 0):
+            raise InvalidInput(f"substeps is {substeps!r}; expected a whole number above 0")
+        if not (np.isfinite(control_period) and 0 < control_period):
+            raise InvalidInput(f"control_period is {control_period}; expected seconds above 0")
+        if not (np.isfinite(disturbance) and disturbance >= 0):
+            raise InvalidInput(f"disturbance is {disturbance}; expected radians >= 0")
+        self.scene = scene
+        self.hand = scene.hand
+        self.num_envs = num_envs
+        self.control_period = float(control_period)
+        self.substeps = int(substeps)
+        self.disturbance = float(disturbance)
+        self.tactile = tactile if tactile is not None else Tactile()
+        self.batch_shape = () if num_envs is None else (int(num_envs),)
+        self._count = 1 if num_envs is None else int(num_envs)
+        self._parameters = ParameterSet(scene, self._count, self.control_period / self.substeps)
+        self._sensors = TouchSensors(scene.model, self.hand.n_fingers)
+        self._start_pool(threads)
+        self._allocate()
+        # one stream per environment in arrays of N rows, whether or not the batch shape shows N
+        seeds = np.asarray(seed)
+        self._streams = Streams(seeds.reshape(1) if num_envs is None else seeds, (self._count,))
+        self.reset()
+
+    def _start_pool(self, threads: int | None) -> None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        wanted = threads if threads is not None else min(cores or 1, self._count)
+        if not (isinstance(wanted, (int, np.integer)) and wanted > 0):
+            raise InvalidInput(f"threads is {threads!r}; expected a whole number above 0")
+        # one thread: no pool, the caller's thread steps
+        self._rollout = Rollout(nthread=int(wanted) if wanted > 1 else 0)
+        self._data = [mujoco.MjData(self.scene.model) for _ in range(wanted)]
+
+    def _allocate(self) -> None:
+        model, count = self.scene.model, self._count
+        size = mujoco.mj_stateSize(model, _FULL)
+        self._timestep = self.control_period / self.substeps
+        self._physics = np.zeros((count, size))
+        self._next = np.zeros((count, self.substeps, size))
+        self._ctrl = np.zeros((count, model.nu))
+        self._ctrl_steps = np.zeros((count, self.substeps, model.nu))
+        self._sensordata = np.zeros((count, self.substeps, model.nsensordata))
+        self._q_target = np.zeros((count, self.hand.nq))
+        self._steps = np.zeros(count, np.int64)
+        self._diverged = np.zeros(count, bool)
+        self._angular_velocity = np.zeros((count, 3))
+        self._start_position = np.zeros((count, 3))
+        self._delay = round(self.tactile.latency / self._timestep)
+        width = self._sensors.columns.stop - self._sensors.columns.start
+        self._history = np.zeros((count, self._delay + 1, width))
+        self._touch = self._sensors.read(self._history[:, 0], self.tactile.threshold)
+        qpos, qvel = 1, 1 + model.nq  # the full physics state starts with time, qpos, qvel
+        self._q_columns = qpos + self.scene.qpos_columns
+        self._position = slice(qpos + self.scene.object_qpos.start, qpos + self.scene.object_qpos.start + 3)
+        self._quaternion = slice(self._position.stop, self._position.stop + 4)
+        self._velocities = slice(qvel, qvel + model.nv)
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        """Back to the settled grasp, with set-points disturbed.
+
+        Args:
+            seed: restarts the random streams; environment i gets ``seed + i``, or seed[i]. None:
+                the streams go on.
+            mask: which environments, ``(N,)`` bool; None is all.
+        """
+        chosen = self._mask(mask)
+        if seed is not None:
+            seeds = np.asarray(seed)
+            self._streams.reseed(seeds.reshape(1) if self.num_envs is None else seeds, chosen)
+        settled = self.scene.settled
+        noise = self._streams.normal((self.hand.nq,), chosen)[chosen]
+        rows = int(chosen.sum())
+        physics = self._physics_of(settled.qpos, settled.qvel)
+        self._place(
+            chosen,
+            np.broadcast_to(physics, (rows, len(physics))),
+            settled.q_target + self.disturbance * noise,
+            np.broadcast_to(settled.sensordata[self._sensors.columns], (rows, self._history.shape[2])),
+        )
+
+    def set_grasp(
+        self,
+        q: ArrayLike,
+        q_target: ArrayLike,
+        object_position: ArrayLike,
+        object_quaternion: ArrayLike,
+        mask: ArrayLike | None = None,
+    ) -> None:
+        """Put environments into given grasps, at rest: a planned one, a state to be checked.
+
+        Args:
+            q, q_target: ``(..., d)`` [rad].
+            object_position: ``(..., 3)`` [m].
+            object_quaternion: wxyz, unit, ``(..., 4)``.
+            mask: which environments; the arrays have one row for every environment all the same.
+        """
+        chosen, count, d = self._mask(mask), self._count, self.hand.nq
+        model = self.scene.model
+        qpos = np.tile(self.scene.settled.qpos, (count, 1))
+        qpos[:, self.scene.qpos_columns] = self._rows("q", q, d)
+        quaternion = self._rows("object_quaternion", object_quaternion, 4)
+        norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
+        if (np.abs(norm - 1) > 1e-3).any():
+            raise InvalidInput(f"object_quaternion has norms {norm.ravel()[:4]}...; expected 1")
+        qpos[:, self.scene.object_qpos] = np.concatenate(
+            [self._rows("object_position", object_position, 3), quaternion / norm], axis=1
+        )
+        physics = np.zeros((count, self._physics.shape[1]))
+        physics[:, 1 : 1 + model.nq] = qpos
+        target = self._rows("q_target", q_target, d)
+        sensordata = self._probe(physics, self._clip(target))
+        self._place(chosen, physics[chosen], target[chosen], sensordata[chosen])
+
+    def _probe(self, physics: Floats, q_target: Floats) -> Floats:
+        """Contact readings ``(N, columns)`` in the states given: one physics step, thrown away."""
+        ctrl = self._ctrl.copy()
+        ctrl[:, self.scene.actuators] = q_target * self.scene.ctrl_per_radian
+        _, sensordata = self._rollout.rollout(
+            self._parameters.models, self._data, physics, ctrl[:, None]
+        )
+        return sensordata[:, 0, self._sensors.columns]
+
+    def _place(self, chosen: Bools, physics: Floats, q_target: Floats, touch: Floats) -> None:
+        self._physics[chosen] = physics
+        self._q_target[chosen] = self._clip(q_target)
+        self._ctrl[:, self.scene.actuators] = self._q_target * self.scene.ctrl_per_radian
+        self._steps[chosen] = 0
+        self._diverged[chosen] = False
+        self._angular_velocity[chosen] = 0.0
+        self._start_position[chosen] = self._physics[chosen, self._position]
+        self._history[chosen] = touch[:, None]
+        self._feel(chosen)
+
+    def read(self) -> GraspState:
+        """The state now: joints, set-points, touch and the object's pose (all copies)."""
+        touch, batch = self._touch, self.batch_shape
+        state = GraspState(
+            q=self._physics[:, self._q_columns],
+            q_target=self._q_target.copy(),
+            in_contact=touch.in_contact,
+            contact_position=touch.position,
+            contact_normal=touch.normal,
+            contact_force=touch.force,
+            object_position=self._physics[:, self._position].copy(),
+            object_quaternion=self._physics[:, self._quaternion].copy(),
+            time=self._steps * self.control_period,
+            age=np.full(self._count, self._timestep * (1 + self._delay)),
+        )
+        return state if batch else state[0]
+
+    def write(self, q_target: ArrayLike) -> Floats:
+        """Take set-points ``(..., d)`` [rad]; returns them within the limits of joints and servos.
+
+        Raises:
+            InvalidInput: wrong shape, or not finite.
+        """
+        self._q_target = self._clip(self._rows("q_target", q_target, self.hand.nq))
+        self._ctrl[:, self.scene.actuators] = self._q_target * self.scene.ctrl_per_radian
+        return self._out(self._q_target.copy())
+
+    def step(self) -> None:
+        """Let one control period pass in every environment."""
+        if self._rollout is None:
+            raise SimulationError("the simulator is closed")
+        self._ctrl_steps[:] = self._ctrl[:, None]
+        self._rollout.rollout(
+            self._parameters.models,
+            self._data,
+            control_spec=_CTRL,
+            skip_checks=True,
+            nstep=self.substeps,
+            initial_state=self._physics,
+            control=self._ctrl_steps,
+            state=self._next,
+            sensordata=self._sensordata,
+        )
+        after = self._next[:, -1]
+        bad = self._broken(after) | self._diverged
+        if bad.any():
+            after[bad] = self._physics[bad]
+            self._sensordata[bad] = 0.0
+            self._diverged |= bad
+        turn = multiply(after[:, self._quaternion], inverse(self._physics[:, self._quaternion]))
+        self._angular_velocity = rotation_vector(turn) / self.control_period
+        self._physics[:] = after
+        self._steps += ~bad
+        self._remember()
+        self._feel(None)
+
+    def _broken(self, after: Floats) -> Bools:
+        """Where a step ended in something that is not a simulation any more, ``(N,)``."""
+        expected = self._physics[:, 0] + self.control_period
+        late = np.abs(after[:, 0] - expected) > 0.5 * self._timestep
+        # comparisons with NaN are False, so state what is good
+        near = (np.abs(after[:, self._position]) < _FARTHEST).all(axis=1)
+        slow = (np.abs(after[:, self._velocities]) < _FASTEST).all(axis=1)
+        finite = np.isfinite(after.sum(axis=1))
+        return late | ~(near & slow & finite)
+
+    def _remember(self) -> None:
+        """Keep the sensor data that the delay still needs, newest last."""
+        kept, columns = self._delay + 1, self._sensors.columns
+        new = self._sensordata[:, max(self.substeps - kept, 0) :, columns]
+        if kept <= self.substeps:
+            self._history = new
+        else:
+            self._history = np.concatenate([self._history[:, self.substeps :], new], axis=1)
+
+    def _feel(self, chosen: Bools | None) -> None:
+        """Read the fingertips (of the environments ``chosen``) from the delayed sensor data."""
+        reading = self._sensors.read(self._history[:, 0], self.tactile.threshold)
+        if self.tactile.noisy:
+            reading = blur(reading, self.tactile, self._streams, chosen)
+        if chosen is not None and not chosen.all():
+            reading = TouchReading(
+                *(
+                    np.where(chosen.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+                    for new, old in zip(reading, self._touch, strict=True)
+                )
+            )
+        self._touch = reading
+
+    def set_parameters(self, **parameters: ArrayLike) -> None:
+        """Give every environment its own physical parameters; they hold from the next step on.
+
+        Args:
+            parameters: by name, ``(N,)`` or one number for all: ``friction`` (sliding, of the
+                object), ``object_mass`` [kg] (inertia scales with it), ``kp`` [N m/rad], ``kv``
+                [N m s/rad] (of all servos), ``damping`` [N m s/rad] (of the hand's joints).
+
+        Raises:
+            UnknownName: no such parameter.
+            InvalidInput: a value out of range, or the wrong number of them.
+        """
+        self._parameters.set(parameters)
+
+    @property
+    def parameters(self) -> dict[str, Floats]:
+        """What `set_parameters` was given, ``(N,)`` each."""
+        return self._parameters.values
+
+    def save(self) -> SimulatorState:
+        """All that decides the future, to be given to :meth:`restore`."""
+        return SimulatorState(
+            physics=self._physics.copy(),
+            q_target=self._q_target.copy(),
+            ctrl=self._ctrl.copy(),
+            history=self._history.copy(),
+            touch=TouchReading(*(part.copy() for part in self._touch)),
+            steps=self._steps.copy(),
+            diverged=self._diverged.copy(),
+            angular_velocity=self._angular_velocity.copy(),
+            start_position=self._start_position.copy(),
+            streams=self._streams.save(),
+            parameters=self._parameters.values,
+        )
+
+    def restore(self, saved: SimulatorState) -> None:
+        """Continue from a saved state: the same writes and steps give the same bits.
+
+        Raises:
+            SimulationError: it was saved by a simulator of another size.
+        """
+        if saved.physics.shape != self._physics.shape or saved.history.shape != self._history.shape:
+            raise SimulationError(
+                f"the saved state has shape {saved.physics.shape} and delay buffer "
+                f"{saved.history.shape}; this simulator has {self._physics.shape} and "
+                f"{self._history.shape}"
+            )
+        self._physics = saved.physics.copy()
+        self._q_target = saved.q_target.copy()
+        self._ctrl = saved.ctrl.copy()
+        self._history = saved.history.copy()
+        self._touch = TouchReading(*(part.copy() for part in saved.touch))
+        self._steps = saved.steps.copy()
+        self._diverged = saved.diverged.copy()
+        self._angular_velocity = saved.angular_velocity.copy()
+        self._start_position = saved.start_position.copy()
+        self._streams.restore(saved.streams)
+        self._parameters.restore(saved.parameters)
+
+    @property
+    def time(self) -> Floats:
+        """Simulated time since the last reset, ``(...)`` [s]."""
+        return self._out(self._steps * self.control_period)
+
+    @property
+    def diverged(self) -> Bools:
+        return self._out(self._diverged.copy())
+
+    @property
+    def other_contact(self) -> Floats:
+        return self._out(self._touch.other_contact.copy())
+
+    @property
+    def object_angular_velocity(self) -> Floats:
+        return self._out(self._angular_velocity.copy())
+
+    @property
+    def start_position(self) -> Floats:
+        return self._out(self._start_position.copy())
+
+    @property
+    def qpos(self) -> Floats:
+        """MuJoCo's generalised positions ``(..., nq)``, for drawing."""
+        return self._out(self._physics[:, 1 : 1 + self.scene.model.nq].copy())
+
+    def close(self) -> None:
+        """Stop the threads; the simulator cannot be stepped any more."""
+        if self._rollout is not None:
+            self._rollout.close()
+            self._rollout = None
+
+    def __enter__(self) -> BatchSimulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _physics_of(self, qpos: Floats, qvel: Floats) -> Floats:
+        physics = np.zeros(self._physics.shape[1])
+        physics[1 : 1 + len(qpos)] = qpos
+        physics[self._velocities] = qvel
+        return physics
+
+    def _clip(self, q_target: Floats) -> Floats:
+        return np.minimum(np.maximum(q_target, self.scene.lower), self.scene.upper)
+
+    def _rows(self, name: str, value: ArrayLike, width: int) -> Floats:
+        rows = np.asarray(value, float)
+        expected = (*self.batch_shape, width)
+        if rows.shape != expected:
+            raise InvalidInput(f"{name} has shape {rows.shape}; expected {expected}")
+        if not np.isfinite(rows).all():
+            where = np.argwhere(~np.isfinite(rows))[0].tolist()
+            raise InvalidInput(f"{name} is {rows[tuple(where)]} at {where}; expected finite numbers")
+        return rows.reshape(self._count, width)
+
+    def _mask(self, mask: ArrayLike | None) -> Bools:
+        if mask is None:
+            return np.ones(self._count, bool)
+        chosen = np.asarray(mask)
+        if chosen.dtype != bool or chosen.shape != self.batch_shape:
+            raise InvalidInput(
+                f"mask has shape {chosen.shape} and type {chosen.dtype}; expected {self.batch_shape} bool"
+            )
+        return chosen.reshape(self._count)
+
+    def _out(self, rows):
+        return rows if self.batch_shape else rows[0]

@@ -1,0 +1,193 @@
+"""Trials: run a controller on the simulator and keep what happened.
+
+The protocol of every measurement in this project: the settled grasp with disturbed set-points, one
+read, act, write and step per control period; the object is dropped when its centre is more than
+0.05 m from where it started; rotation is the unwrapped angle about the hand's z axis up to the
+drop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+
+from dexctl.controller import Controller
+from dexctl.exceptions import InvalidInput
+from dexctl.rotations import inverse, multiply
+from dexctl.sim.simulator import BatchSimulator
+from dexctl.state import Bools, Floats, GraspState
+
+DROP_DISTANCE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What happened in a run of T control periods; ``...`` is ``()`` or ``(N,)``.
+
+    Rows 0 to T of the states: row 0 is the start, row T the end. Rows 0 to T-1 of ``diagnostics``:
+    what the controller found in state i.
+
+    Attributes:
+        time: since the start, ``(T+1,)`` [s].
+        q, q_target: ``(T+1, ..., d)`` [rad].
+        in_contact, contact_force: ``(T+1, ..., m)``, bool and [N].
+        contact_position, contact_normal: ``(T+1, ..., m, 3)`` [m] and unit, into the object.
+        object_position, object_quaternion: ``(T+1, ..., 3)`` [m], ``(T+1, ..., 4)`` wxyz.
+        other_contact: force of the object on all but fingertips, ``(T+1, ...)`` [N].
+        diverged: whether the simulation of an environment broke down, ``(T+1, ...)`` bool.
+        held: whether the object has not been dropped yet, ``(T+1, ...)`` bool.
+        rotation: angle about the hand's z since the start, standing still from the drop on,
+            ``(T+1, ...)`` [rad].
+        diagnostics: those of the controller that are numbers, by name, ``(T, ...)`` each.
+        act_seconds: wall time of each call of the controller, ``(T,)`` [s].
+    """
+
+    time: Floats
+    q: Floats
+    q_target: Floats
+    in_contact: Bools
+    contact_force: Floats
+    contact_position: Floats
+    contact_normal: Floats
+    object_position: Floats
+    object_quaternion: Floats
+    other_contact: Floats
+    diverged: Bools
+    held: Bools
+    rotation: Floats
+    diagnostics: Mapping[str, np.ndarray] = field(default_factory=dict)
+    act_seconds: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def final_rotation(self) -> Floats:
+        """Rotation up to the drop or the end, ``(...)`` [rad]."""
+        return self.rotation[-1]
+
+    @property
+    def dropped(self) -> Bools:
+        """Whether the object was dropped, ``(...)``."""
+        return ~self.held[-1]
+
+    @property
+    def time_held(self) -> Floats:
+        """Until the drop or the end, ``(...)`` [s]."""
+        last = self.held.sum(axis=0) - 1
+        return self.time[last]
+
+
+def run(
+    controller: Controller,
+    sim: BatchSimulator,
+    seconds: float,
+    *,
+    record: Callable[[BatchSimulator], None] | None = None,
+    drop_distance: float = DROP_DISTANCE,
+    progress: Callable[[float], None] | None = None,
+) -> Trace:
+    """Run ``controller`` on ``sim``, from where both are, for ``seconds`` of simulated time.
+
+    Reset both first for a trial: ``sim.reset(seed); controller.reset(seed)``.
+
+    Args:
+        record: called with the simulator at the start and after each step (a `Recorder`).
+        drop_distance: how far the object's centre may go from where it is at the start [m].
+        progress: called after each step with the simulated time so far [s].
+
+    Raises:
+        InvalidInput: the controller's and the simulator's control periods differ.
+    """
+    if not np.isclose(controller.control_period, sim.control_period):
+        raise InvalidInput(
+            f"the controller's control_period is {controller.control_period} s and the simulator's "
+            f"{sim.control_period} s; expected the same"
+        )
+    steps = round(seconds / sim.control_period) if np.isfinite(seconds) else 0
+    if steps < 1:
+        raise InvalidInput(
+            f"seconds is {seconds}; expected at least one control period, {sim.control_period} s"
+        )
+    states: list[GraspState] = [sim.read()]
+    other, diverged = [sim.other_contact], [sim.diverged]
+    found: list[dict[str, np.ndarray]] = []
+    act_seconds = np.zeros(steps)
+    if record is not None:
+        record(sim)
+    for i in range(steps):
+        state = states[-1]
+        start = perf_counter()
+        change = controller.act(state)
+        act_seconds[i] = perf_counter() - start
+        sim.write(state.q_target + change)
+        sim.step()
+        found.append(_numbers(controller.diagnostics, sim.batch_shape))
+        states.append(sim.read())
+        other.append(sim.other_contact)
+        diverged.append(sim.diverged)
+        if record is not None:
+            record(sim)
+        if progress is not None:
+            progress((i + 1) * sim.control_period)
+    return _trace(sim, states, other, diverged, found, act_seconds, drop_distance)
+
+
+def _trace(
+    sim: BatchSimulator,
+    states: list[GraspState],
+    other: list[Floats],
+    diverged: list[Bools],
+    found: list[dict[str, np.ndarray]],
+    act_seconds: Floats,
+    drop_distance: float,
+) -> Trace:
+    position = np.array([state.object_position for state in states])
+    quaternion = np.array([state.object_quaternion for state in states])
+    away = np.linalg.norm(position - position[0], axis=-1)
+    broken = np.array(diverged)
+    held = np.logical_and.accumulate((away <= drop_distance) & ~broken, axis=0)
+    names = [name for name in found[0] if all(name in row for row in found)]
+    return Trace(
+        time=np.arange(len(states)) * sim.control_period,
+        q=np.array([state.q for state in states]),
+        q_target=np.array([state.q_target for state in states]),
+        in_contact=np.array([state.in_contact for state in states]),
+        contact_force=np.array([state.contact_force for state in states]),
+        contact_position=np.array([state.contact_position for state in states]),
+        contact_normal=np.array([state.contact_normal for state in states]),
+        object_position=position,
+        object_quaternion=quaternion,
+        other_contact=np.array(other),
+        diverged=broken,
+        held=held,
+        rotation=rotation_about_z(quaternion, held),
+        diagnostics={name: np.array([row[name] for row in found]) for name in names},
+        act_seconds=act_seconds,
+    )
+
+
+def rotation_about_z(quaternion: Floats, held: Bools | None = None) -> Floats:
+    """Unwrapped angle about z since the first row, ``(T, ...)`` [rad], of ``(T, ..., 4)`` wxyz.
+
+    The turn about z is the twist of the swing-twist decomposition, so tilting alone does not
+    count. Where ``held`` ``(T, ...)`` is False the angle stands still.
+    """
+    relative = multiply(quaternion, inverse(np.broadcast_to(quaternion[:1], quaternion.shape)))
+    angle = np.unwrap(2.0 * np.arctan2(relative[..., 3], relative[..., 0]), axis=0)
+    if held is None:
+        return angle
+    last = np.maximum.accumulate(
+        np.where(held, np.arange(len(held)).reshape(-1, *(1,) * (held.ndim - 1)), 0), axis=0
+    )
+    return np.take_along_axis(angle, last, axis=0)
+
+
+def _numbers(diagnostics: Mapping[str, object], batch: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """Copies of the diagnostics that are numeric arrays with the batch dimensions in front."""
+    kept = {}
+    for name, value in diagnostics.items():
+        array = np.asarray(value)
+        if array.dtype.kind in "fiub" and array.shape[: len(batch)] == batch:
+            kept[name] = array.copy()
+    return kept
