@@ -53,15 +53,48 @@ class Mimic:
     master: str | None
     scale: float
     offset: float
+    linear: bool = True  # False: the file couples them otherwise, which is not supported
 
 
 @dataclass
 class Description:
     """The bodies parents first, the sites as (body index, offset), and the coupled joints."""
 
+    path: Path
     bodies: list[Body]
     sites: dict[str, tuple[int, Floats]]
     mimics: dict[str, Mimic]
+
+    def resolve(self, joint: str) -> Mimic:
+        """What ``joint`` follows in the end, through chains of mimics; itself if nothing.
+
+        Raises:
+            HandModelError: the chain is a loop, ends at a joint that is not there, or is not
+                linear.
+        """
+        found, seen = Mimic(joint, 1.0, 0.0), [joint]
+        while found.master in self.mimics:
+            mimic = self.mimics[found.master]
+            if not mimic.linear:
+                raise HandModelError(
+                    f"{self.path}: joint {found.master!r} follows another by a polynomial of "
+                    "degree 2 or more; only linear couplings are supported"
+                )
+            if mimic.master in seen:
+                raise HandModelError(
+                    f"{self.path}: joint {joint!r} follows itself through {', '.join(seen)}"
+                )
+            offset = found.offset + found.scale * mimic.offset
+            found = Mimic(mimic.master, found.scale * mimic.scale, offset)
+            if mimic.master is not None:
+                seen.append(mimic.master)
+        names = [item.name for body in self.bodies for item in body.joints]
+        if found.master is not None and found.master not in names:
+            raise HandModelError(
+                f"{self.path}: joint {joint!r} follows {found.master!r}, which is not there; "
+                f"joints: {', '.join(names)}"
+            )
+        return found
 
 
 def read_mjcf(path: Path) -> Description:
@@ -121,10 +154,10 @@ def read_mjcf(path: Path) -> Description:
         for s in range(model.nsite)
         if model.site(s).name
     }
-    return Description(bodies, sites, _mjcf_mimics(model, joints, path))
+    return Description(path, bodies, sites, _mjcf_mimics(model, joints))
 
 
-def _mjcf_mimics(model, joints: list[Joint], path: Path) -> dict[str, Mimic]:
+def _mjcf_mimics(model, joints: list[Joint]) -> dict[str, Mimic]:
     import mujoco
 
     mimics = {}
@@ -132,19 +165,14 @@ def _mjcf_mimics(model, joints: list[Joint], path: Path) -> dict[str, Mimic]:
         if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e]:
             continue
         slave, master = joints[model.eq_obj1id[e]], model.eq_obj2id[e]
-        constant, slope, *higher = model.eq_data[e, :5]
-        if np.any(higher):
-            raise HandModelError(
-                f"{path}: joint {slave.name!r} follows another by a polynomial of degree 2 or "
-                "more; only linear couplings are supported"
-            )
+        constant, slope, *higher = (float(c) for c in model.eq_data[e, :5])
         # MuJoCo: slave - ref_slave = constant + slope (master - ref_master)
         offset = slave.reference + constant
         if master < 0:
-            mimics[slave.name] = Mimic(None, 0.0, float(offset))
+            mimics[slave.name] = Mimic(None, 0.0, offset)
         else:
             offset -= slope * joints[master].reference
-            mimics[slave.name] = Mimic(joints[master].name, float(slope), float(offset))
+            mimics[slave.name] = Mimic(joints[master].name, slope, offset, not any(higher))
     return mimics
 
 
@@ -156,19 +184,23 @@ def read_urdf(path: Path) -> Description:
         raise HandModelError(f"{path}: not well-formed XML: {error}") from None
     if robot.tag != "robot":
         raise HandModelError(f"{path}: the root element is <{robot.tag}>; a URDF has <robot>")
-    links = [link.get("name", "") for link in robot.iter("link")]
-    incoming = {}
-    for element in robot.findall("joint"):
-        child, parent = element.find("child"), element.find("parent")
-        if child is None or parent is None:
-            raise HandModelError(f"{path}: joint {element.get('name')!r} lacks parent or child")
-        for name in (child.get("link"), parent.get("link")):
-            if name not in links:
-                raise HandModelError(
-                    f"{path}: joint {element.get('name')!r} names the link {name!r}, which is "
-                    f"not there; links: {', '.join(links)}"
-                )
-        incoming[child.get("link")] = (parent.get("link"), element)
+    links = [link.get("name", "") for link in robot.findall("link")]
+    elements = robot.findall("joint")
+    for kind, names in (("links", links), ("joints", [e.get("name", "") for e in elements])):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise HandModelError(f"{path}: several {kind} are called {', '.join(map(repr, twice))}")
+    incoming: dict[str, tuple[str, _UrdfJoint]] = {}
+    for element in elements:
+        joint = _UrdfJoint(path, element)
+        parent, child = joint.link("parent", links), joint.link("child", links)
+        if child in incoming:
+            other = incoming[child][1].name
+            raise HandModelError(
+                f"{path}: the link {child!r} is the child of two joints, {other!r} and "
+                f"{joint.name!r}"
+            )
+        incoming[child] = (parent, joint)
 
     bodies: list[Body] = []
     index: dict[str, int] = {}
@@ -181,51 +213,93 @@ def read_urdf(path: Path) -> Description:
         for name in ready:
             index[name] = len(bodies)
             if name in incoming:
-                parent, element = incoming[name]
-                rotation, translation = _urdf_origin(element)
-                joints = _urdf_joint(element, mimics)
-                bodies.append(Body(name, index[parent], rotation, translation, joints))
+                parent, joint = incoming[name]
+                rotation, translation = joint.origin()
+                bodies.append(Body(name, index[parent], rotation, translation, joint.joints()))
+                mimics.update(joint.mimics())
             else:
                 bodies.append(Body(name, -1, np.eye(3), np.zeros(3)))
         pending = [n for n in pending if n not in index]
-    return Description(bodies, {}, mimics)
+    return Description(path, bodies, {}, mimics)
 
 
-def _urdf_origin(element: ElementTree.Element) -> tuple[Floats, Floats]:
-    origin = element.find("origin")
-    attributes = {} if origin is None else origin.attrib
-    roll, pitch, yaw = (float(x) for x in attributes.get("rpy", "0 0 0").split())
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    rotation = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-    return rotation, np.array([float(x) for x in attributes.get("xyz", "0 0 0").split()])
+class _UrdfJoint:
+    """One <joint> of a URDF; every error names the file, the joint and the attribute."""
 
+    def __init__(self, path: Path, element: ElementTree.Element) -> None:
+        self.path = path
+        self.element = element
+        self.name = element.get("name", "")
+        self.type = element.get("type", "")
 
-def _urdf_joint(element: ElementTree.Element, mimics: dict[str, Mimic]) -> list[Joint]:
-    kind = element.get("type", "")
-    if kind == "fixed":
-        return []
-    name = element.get("name", "")
-    axis_element, limit, mimic = (element.find(tag) for tag in ("axis", "limit", "mimic"))
-    axis = np.array([1.0, 0.0, 0.0])
-    if axis_element is not None:
-        axis = np.array([float(x) for x in axis_element.get("xyz", "1 0 0").split()])
-    joint = Joint(
-        name,
-        {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}.get(kind, kind),
-        axis / (np.linalg.norm(axis) or 1.0),
-    )
-    if limit is not None:
-        joint.effort = float(limit.get("effort", "inf"))
-        joint.velocity = float(limit.get("velocity", "inf"))
-        if kind != "continuous":
-            joint.lower, joint.upper = float(limit.get("lower", 0)), float(limit.get("upper", 0))
-    if mimic is not None:
-        scale, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
-        mimics[name] = Mimic(mimic.get("joint"), scale, offset)
-    return [joint]
+    def link(self, tag: str, links: list[str]) -> str:
+        """The name of the parent or child link."""
+        found = self.element.find(tag)
+        if found is None:
+            raise self._error("lacks parent or child")
+        name = found.get("link", "")
+        if name not in links:
+            raise self._error(
+                f"names the link {name!r}, which is not there; links: {', '.join(links)}"
+            )
+        return name
+
+    def origin(self) -> tuple[Floats, Floats]:
+        """Rotation and translation of the child link in the parent link, at joint position 0."""
+        roll, pitch, yaw = self._numbers("origin", "rpy", (0, 0, 0))
+        (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+        rotation = np.array(
+            [
+                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                [-sp, cp * sr, cp * cr],
+            ]
+        )
+        return rotation, self._numbers("origin", "xyz", (0, 0, 0))
+
+    def joints(self) -> list[Joint]:
+        """The joint, or none for a fixed one."""
+        if self.type == "fixed":
+            return []
+        axis = self._numbers("axis", "xyz", (1, 0, 0))
+        length = float(np.linalg.norm(axis))
+        if length == 0:
+            raise self._error("has an axis of length zero")
+        kinds = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
+        joint = Joint(self.name, kinds.get(self.type, self.type), axis / length)
+        if self.element.find("limit") is not None:
+            joint.effort = self._number("limit", "effort", np.inf)
+            joint.velocity = self._number("limit", "velocity", np.inf)
+            if self.type != "continuous":
+                joint.lower = self._number("limit", "lower", 0.0)
+                joint.upper = self._number("limit", "upper", 0.0)
+        return [joint]
+
+    def mimics(self) -> dict[str, Mimic]:
+        """The joint that this one follows, if any."""
+        found = self.element.find("mimic")
+        if found is None:
+            return {}
+        scale = self._number("mimic", "multiplier", 1.0)
+        return {self.name: Mimic(found.get("joint"), scale, self._number("mimic", "offset", 0.0))}
+
+    def _number(self, tag: str, attribute: str, default: float) -> float:
+        return float(self._numbers(tag, attribute, (default,))[0])
+
+    def _numbers(self, tag: str, attribute: str, default: tuple[float, ...]) -> Floats:
+        found = self.element.find(tag)
+        text = None if found is None else found.get(attribute)
+        if text is None:
+            return np.array(default, float)
+        try:
+            values = np.array([float(word) for word in text.split()])
+        except ValueError:
+            values = np.array([np.nan])
+        if len(values) != len(default) or np.isnan(values).any():
+            raise self._error(
+                f"has {attribute}={text!r} in <{tag}>; expected {len(default)} number(s)"
+            )
+        return values
+
+    def _error(self, what: str) -> HandModelError:
+        return HandModelError(f"{self.path}: joint {self.name!r} {what}")

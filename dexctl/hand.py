@@ -6,7 +6,7 @@ This is pinocchio's only door into dexctl.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.description import Description, Joint, read_mjcf, read_urdf
+from dexctl.description import Description, Joint, Mimic, read_mjcf, read_urdf
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
 
@@ -87,18 +87,17 @@ class HandModel:
         self._arguments = (description, fingertips, path, joints)
         self._resolve_fingertips(description, fingertips)
         chains = [self._chain(description, body) for body in self._tip_body]
-        mimics = description.mimics
         used = _unique(joint.name for chain in chains for _, joint in chain)
-        for name in used:  # a master may sit on no finger (a drive): its slaves still need it
-            _check_mimic(path, name, description)
-        masters = _unique(master for name in used if (master := _master(name, mimics)) is not None)
+        couplings = {name: description.resolve(name) for name in used}
+        # a master may sit on no finger (a drive): its slaves still need it
+        masters = _unique(c.master for c in couplings.values() if c.master is not None)
         if joints is not None and sorted(joints) != sorted(masters):
             raise HandModelError(
                 f"{path}: the joint order {list(joints)} is not an order of the joints that move "
                 f"the fingertips: {', '.join(masters)}"
             )
         order = list(joints) if joints is not None else masters
-        self._build(description, chains, used, order)
+        self._build(description, chains, couplings, order)
 
     @classmethod
     def from_mjcf(
@@ -227,13 +226,25 @@ class HandModel:
             else:
                 raise UnknownName("fingertip", name, [*body_index, *description.sites])
             if isinstance(fingertips, Mapping):
-                offset = offset + np.asarray(fingertips[name], float).reshape(3)
+                offset = offset + self._offset(name, fingertips[name])
             self._tip_body.append(body)
             offsets.append(offset)
         self.fingertip_names = tuple(names)
         self.fingertip_bodies = tuple(description.bodies[b].name for b in self._tip_body)
         self.fingertip_offsets = np.array(offsets)
         self.n_fingers = len(names)
+
+    def _offset(self, fingertip: str, value: ArrayLike) -> Floats:
+        try:
+            offset = np.asarray(value, float)
+        except (TypeError, ValueError):
+            offset = np.array(np.nan)
+        if offset.shape != (3,) or not np.isfinite(offset).all():
+            raise HandModelError(
+                f"{self.path}: fingertip {fingertip!r} has the offset {value!r}; expected three "
+                "lengths in metres"
+            )
+        return offset
 
     def _chain(self, description: Description, body: int) -> list[tuple[int, Joint]]:
         """The (body, joint) pairs from the world to ``body``."""
@@ -256,7 +267,7 @@ class HandModel:
         self,
         description: Description,
         chains: list[list[tuple[int, Joint]]],
-        used: list[str],
+        couplings: dict[str, Mimic],
         order: list[str],
     ) -> None:
         """Make the pinocchio model of the bodies on the chains, and the maps into it."""
@@ -305,11 +316,11 @@ class HandModel:
         slots = list(model.names)[1:]
         expand = np.zeros((len(order), len(slots)))
         offsets = np.zeros(len(slots))
-        for slot, name in enumerate(slots):
-            master, scale, offsets[slot] = _resolve(name, description.mimics)
-            if master is not None:
-                expand[order.index(master), slot] = scale
-        plain = slots == order and not description.mimics.keys() & set(used)
+        for slot, coupling in enumerate(couplings[name] for name in slots):
+            offsets[slot] = coupling.offset
+            if coupling.master is not None:
+                expand[order.index(coupling.master), slot] = coupling.scale
+        plain = slots == order and not couplings.keys() & description.mimics.keys()
         self._expand = None if plain else expand
         self._expand_offset = offsets
 
@@ -325,38 +336,11 @@ class HandModel:
         self.upper = np.array([joint.upper for joint in found])
         self.effort = np.array([joint.effort for joint in found])
         self.velocity = np.array([joint.velocity for joint in found])
-        self.ignored_joints = tuple(n for n in all_joints if n not in used and n not in order)
+        self.ignored_joints = tuple(n for n in all_joints if n not in couplings and n not in order)
 
 
-def _unique(names) -> list[str]:
+def _unique(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(names))
-
-
-def _resolve(name: str, mimics: Mapping) -> tuple[str | None, float, float]:
-    """``name`` = scale * master + offset, through chains of mimics."""
-    scale, offset, current, seen = 1.0, 0.0, name, {name}
-    while current in mimics:
-        mimic = mimics[current]
-        offset += scale * mimic.offset
-        scale *= mimic.scale
-        if mimic.master is None:
-            return None, 0.0, offset
-        current = mimic.master
-        if current in seen:
-            raise HandModelError(f"joint {name!r} follows itself through {', '.join(sorted(seen))}")
-        seen.add(current)
-    return current, scale, offset
-
-
-def _master(name: str, mimics: Mapping) -> str | None:
-    return _resolve(name, mimics)[0]
-
-
-def _check_mimic(path: Path, name: str, description: Description) -> None:
-    names = {joint.name for body in description.bodies for joint in body.joints}
-    master = _master(name, description.mimics)
-    if master is not None and master not in names:
-        raise HandModelError(f"{path}: joint {name!r} follows {master!r}, which is not there")
 
 
 def random_configurations(hand: HandModel, count: int, seed: int) -> NDArray[np.float64]:

@@ -31,8 +31,8 @@ class GraspState:
             whose finger is not in contact are zero and are never read.
         object_position: object centre, ``(..., 3)`` [m], or None where nothing tracks it.
         object_quaternion: object orientation wxyz, ``(..., 4)``, or None.
-        time: when the state was taken, ``(...)`` [s].
-        age: how old its oldest part is, ``(...)`` [s].
+        time: when the state was taken, ``(...)`` or one number for all [s].
+        age: how old its oldest part is, ``(...)`` or one number for all [s].
 
     Raises:
         InvalidInput: shapes that do not belong together; the message names the field.
@@ -63,6 +63,10 @@ class GraspState:
             _expect(self, "object_position", (*batch, 3))
         if self.object_quaternion is not None:
             _expect(self, "object_quaternion", (*batch, 4))
+        for name in ("time", "age"):
+            shape = np.shape(getattr(self, name))
+            if shape:  # one number stands for all environments
+                _check_shape(self, name, shape, batch)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -85,15 +89,25 @@ class GraspState:
 def _array(state: GraspState, name: str, kind: type = float) -> NDArray:
     value = getattr(state, name)
     if not (type(value) is np.ndarray and value.dtype == kind):
-        value = np.asarray(value, kind)
+        try:
+            value = np.asarray(value, kind)
+        except (TypeError, ValueError):
+            raise InvalidInput(
+                f"GraspState.{name} is {value!r}; expected an array of {kind.__name__}"
+            ) from None
         object.__setattr__(state, name, value)
     return value
 
 
 def _expect(state: GraspState, name: str, shape: tuple[int, ...], kind: type = float) -> None:
-    value = _array(state, name, kind)
-    if value.shape != shape:
+    _check_shape(state, name, _array(state, name, kind).shape, shape)
+
+
+def _check_shape(
+    state: GraspState, name: str, shape: tuple[int, ...], expected: tuple[int, ...]
+) -> None:
+    if shape != expected:
         raise InvalidInput(
-            f"GraspState.{name} has shape {value.shape}; expected {shape}, from q of shape "
+            f"GraspState.{name} has shape {shape}; expected {expected}, from q of shape "
             f"{state.q.shape} and in_contact of shape {state.in_contact.shape}"
         )

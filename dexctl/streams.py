@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dexctl.exceptions import InvalidInput
+
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
@@ -41,6 +43,9 @@ class Streams:
     Args:
         seed: one integer, or one per environment (an array of the batch shape).
         batch_shape: ``()`` for one environment, ``(N,)`` for N.
+
+    Raises:
+        InvalidInput: a seed is no integer, or their number is not the batch's.
     """
 
     def __init__(self, seed: ArrayLike, batch_shape: tuple[int, ...] = ()) -> None:
@@ -49,12 +54,20 @@ class Streams:
         self._counter = np.zeros(batch_shape, np.uint64)
 
     def _keys(self, seed: ArrayLike) -> NDArray[np.uint64]:
-        seeds = np.asarray(seed)
-        if seeds.ndim == 0 and self.batch_shape:
-            offset = np.arange(int(np.prod(self.batch_shape)), dtype=np.uint64)
-            seeds = np.uint64(int(seeds) % 2**64) + offset.reshape(self.batch_shape)
-        # one dimension at least: numpy wraps arrays silently, and warns of it for scalars
-        wrapped = np.atleast_1d(seeds).astype(np.uint64).reshape(self.batch_shape or (1,))
+        # as Python's integers, whose remainder is right for negative and for huge seeds
+        seeds = np.asarray(seed, object)
+        if seeds.shape not in ((), self.batch_shape) or not all(
+            isinstance(one, (int, np.integer)) for one in seeds.flat
+        ):
+            raise InvalidInput(
+                f"seed is {seed!r}; expected an integer, or integers of shape {self.batch_shape}"
+            )
+        if seeds.ndim == 0:
+            first, count = int(seeds.item()), int(np.prod(self.batch_shape))
+            numbers = range(first, first + count)
+        else:
+            numbers = (int(one) for one in seeds.flat)
+        wrapped = np.array([number % 2**64 for number in numbers], np.uint64)
         return _mix(_mix(wrapped + _GOLDEN) + _GOLDEN).reshape(self.batch_shape)
 
     def reseed(self, seed: ArrayLike, mask: NDArray[np.bool_] | None = None) -> None:
@@ -77,7 +90,8 @@ class Streams:
             step = np.uint64(count)
             moved = self._counter + step
             self._counter = moved if mask is None else np.where(mask, moved, self._counter)
-        return ((bits >> np.uint64(11)) * 2.0**-53).reshape(self.batch_shape + shape)
+        fraction = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
+        return fraction.reshape(self.batch_shape + shape)
 
     def normal(
         self, shape: tuple[int, ...] = (), mask: NDArray[np.bool_] | None = None
@@ -85,7 +99,7 @@ class Streams:
         """Standard normal numbers of shape ``(*batch, *shape)`` (Box-Muller, two draws each)."""
         pair = self.uniform((*shape, 2), mask)
         radius = np.sqrt(-2.0 * np.log1p(-pair[..., 0]))
-        return np.multiply(radius, np.cos(2.0 * np.pi * pair[..., 1]))
+        return radius * np.cos(2.0 * np.pi * pair[..., 1])
 
     def save(self) -> StreamsState:
         """The state of the streams, to be given to :meth:`restore`."""

@@ -6,8 +6,8 @@ import os
 
 # One thread a process for linear algebra, set before numpy is loaded: the matrices are small, and
 # pytest-xdist already keeps the cores busy.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 from pathlib import Path
 
