@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,22 @@ from dexctl.streams import Streams, StreamsState
 from dexctl.switch.chain import check_vector, joint_roles
 
 Indices = NDArray[np.intp]
+
+
+class SwitchProfileState(NamedTuple):
+    """What `SwitchProfile.save` gives: all that decides the switches to come.
+
+    Attributes:
+        finger: the finger that is switching, ``(...)``; -1 where none is.
+        step: how many set-point changes it has made, ``(...)``.
+        velocity: signed speeds of the middle and the roll joint, ``(..., 2)`` [rad/s].
+        streams: the random streams.
+    """
+
+    finger: Indices
+    step: Indices
+    velocity: Floats
+    streams: StreamsState
 
 
 class SwitchProfile:
@@ -94,7 +110,7 @@ class SwitchProfile:
     @property
     def finger(self) -> Indices:
         """The finger that is switching, ``(...)``; -1 where none is."""
-        return self._finger.copy()
+        return np.array(self._finger)
 
     @property
     def active(self) -> Bools:
@@ -118,7 +134,7 @@ class SwitchProfile:
         if mask is None:
             if seed is not None:
                 self._seed, self._streams = seed, None
-            self._finger = np.full_like(self._finger, -1)
+            self._finger[...] = -1
             return
         chosen = np.asarray(mask, bool)
         self._match(chosen.shape)
@@ -188,22 +204,23 @@ class SwitchProfile:
         self._finger[self._step >= self.steps] = -1
         return action
 
-    def save(self) -> tuple[Indices, Indices, Floats, StreamsState]:
-        """All that decides the switches to come, for `restore`."""
-        return (
+    def save(self) -> SwitchProfileState:
+        """All that decides the switches to come, to be given to `restore`."""
+        return SwitchProfileState(
             self._finger.copy(), self._step.copy(), self._velocity.copy(), self._random().save()
-        )  # fmt: skip
+        )
 
-    def restore(self, saved: tuple[Indices, Indices, Floats, StreamsState]) -> None:
-        """Continue from what `save` gave."""
-        self._allocate(saved[0].shape)
-        self._finger, self._step, self._velocity = (part.copy() for part in saved[:3])
-        self._random().restore(saved[3])
+    def restore(self, saved: SwitchProfileState) -> None:
+        """Continue from a saved state."""
+        self._allocate(saved.finger.shape)
+        self._finger[...], self._step[...] = saved.finger, saved.step
+        self._velocity[...] = saved.velocity
+        self._random().restore(saved.streams)
 
-    def _shape(self, time: Floats) -> Floats:
+    def _shape(self, time: ArrayLike) -> Floats:
         """How far (middle, roll) have gone at ``time``, at unit speed, ``(..., 2)`` [s]."""
         half, quarter = self.duration / 2, self.duration / 4
-        time = np.minimum(time, self.duration)
+        time = np.minimum(np.asarray(time, float), self.duration)
         return np.stack([half - np.abs(time - half), np.clip(time - quarter, 0.0, half)], axis=-1)
 
     def _signs(self, state: GraspState, finger: Indices) -> Floats:
@@ -237,9 +254,9 @@ class SwitchProfile:
         self._allocate(batch_shape)
 
     def _allocate(self, batch_shape: tuple[int, ...]) -> None:
-        self._finger = np.full(batch_shape, -1, np.intp)
-        self._step = np.zeros(batch_shape, np.intp)
-        self._velocity = np.zeros((*batch_shape, 2))
+        self._finger: Indices = np.full(batch_shape, -1, np.intp)
+        self._step: Indices = np.zeros(batch_shape, np.intp)
+        self._velocity: Floats = np.zeros((*batch_shape, 2))
 
     def _random(self) -> Streams:
         """The streams of the present batch shape; a new shape starts them anew."""

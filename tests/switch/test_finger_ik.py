@@ -1,0 +1,179 @@
+"""FingerIK: reaches what forward kinematics can reach, says so where it cannot."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dexctl.hands
+from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
+from dexctl.hand import HandModel, random_configurations
+from dexctl.switch.chain import own_joints
+from dexctl.switch.finger_ik import FingerIK
+
+MENAGERIE = Path(os.environ.get("DEXCTL_MENAGERIE", Path(__file__).parents[3] / "shared" / "hands"))
+
+
+@pytest.fixture(scope="module", params=["dex5", "wonik_allegro"])
+def ik(request) -> FingerIK:
+    if request.param == "wonik_allegro":
+        if not (MENAGERIE / "wonik_allegro").is_dir():
+            pytest.skip(f"no Allegro hand in {MENAGERIE}")
+        return FingerIK(dexctl.hands.load("wonik_allegro", folder=MENAGERIE))
+    return FingerIK(dexctl.hands.load("dex5"))
+
+
+def test_reachable_targets_are_reached_within_limits(ik: FingerIK):
+    hand = ik.hand
+    starts, goals = (random_configurations(hand, 60, seed) for seed in (0, 1))
+    for i, (start, goal) in enumerate(zip(starts, goals, strict=True)):
+        finger = i % hand.n_fingers
+        target = hand.fingertip_positions(goal)[finger]
+        result = ik.solve(start, finger, target)
+        reached = hand.fingertip_positions(result.q)[finger]
+        assert result.converged, f"target {i}: {result.error} m after {result.iterations}"
+        assert np.linalg.norm(reached - target) < 1e-4
+        assert result.error == pytest.approx(np.linalg.norm(reached - target))
+        assert (result.q >= hand.lower).all()
+        assert (result.q <= hand.upper).all()
+        others = np.delete(np.arange(hand.nq), own_joints(hand, finger))
+        np.testing.assert_array_equal(result.q[others], start[others])
+
+
+def test_unreachable_target_tells_the_distance(ik: FingerIK):
+    """The far point lies straight beyond the fingertip of the stretched finger."""
+    hand = ik.hand
+    q = np.clip(np.zeros(hand.nq), hand.lower, hand.upper)
+    away = hand.fingertip_positions(q)[0] + [0.0, 0.0, 1.0]
+    result = ik.solve(q, 0, away)
+    assert not result.converged
+    reached = hand.fingertip_positions(result.q)[0]
+    assert result.error == pytest.approx(np.linalg.norm(reached - away))
+    best = hand.fingertip_positions(random_configurations(hand, 2000, 0))[:, 0]
+    assert result.error <= np.linalg.norm(best - away, axis=-1).min() + 1e-3
+    assert result.iterations <= 200
+
+
+def test_target_behind_a_limit_takes_another_start():
+    """dex5's finger folded the wrong way round: the Jacobian step ends at a joint limit."""
+    ik = FingerIK(dexctl.hands.load("dex5"))
+    hand = ik.hand
+    restarted = 0
+    for start, goal in zip(
+        *(random_configurations(hand, 120, seed) for seed in (2, 3)), strict=True
+    ):
+        result = ik.solve(start, 1, hand.fingertip_positions(goal)[1], max_iterations=1000)
+        assert result.converged
+        restarted += result.iterations > 40
+    print(f"{restarted} of 120 needed another start")
+
+
+def test_same_question_same_answer(ik: FingerIK):
+    q, goal = random_configurations(ik.hand, 2, 5)
+    target = ik.hand.fingertip_positions(goal)[0]
+    first = ik.solve(q, 0, target)
+    ik.solve(goal, 1, ik.hand.fingertip_positions(q)[1])
+    np.testing.assert_array_equal(ik.solve(q, 0, target).q, first.q)
+
+
+def test_start_outside_its_limits_is_brought_in_and_frozen_joints_may_stay_outside(ik: FingerIK):
+    hand = ik.hand
+    q = hand.upper + 0.05
+    target = hand.fingertip_positions(random_configurations(hand, 1, 8)[0])[1]
+    result = ik.solve(q, 1, target)
+    own = own_joints(hand, 1)
+    assert result.converged
+    assert (result.q[own] <= hand.upper[own]).all()
+    others = np.delete(np.arange(hand.nq), own)
+    np.testing.assert_array_equal(result.q[others], q[others])
+
+
+def test_target_already_met_costs_nothing(ik: FingerIK):
+    q = random_configurations(ik.hand, 1, 4)[0]
+    result = ik.solve(q, 0, ik.hand.fingertip_positions(q)[0])
+    assert result.converged
+    assert result.iterations == 0
+    np.testing.assert_array_equal(result.q, q)
+
+
+# A hand inside a scene: a free ball before it, a wrist, and a tip joint that follows the one below
+# it (through another follower), with one finger whose joint order is given the other way round.
+SCENE = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="ball" pos="0 0 0.3"><freejoint/><geom size="0.03"/></body>
+    <body name="palm">
+      <joint name="wrist" axis="0 0 1" range="-1 1"/><geom size="0.02"/>
+      <body pos="0.05 0 0"><joint name="a" axis="1 0 0" range="-0.8 0.8"/><geom size="0.01"/>
+        <body pos="0 0 0.03"><joint name="b" axis="0 1 0" range="-1 1.5"/><geom size="0.01"/>
+          <body pos="0 0 0.04"><joint name="c" axis="0 1 0" range="-1 1.2"/><geom size="0.01"/>
+            <body name="tip1" pos="0 0 0.03">
+              <joint name="d" axis="0 1 0" range="-0.1 0.1"/><geom size="0.01"/></body>
+      </body></body></body>
+      <body pos="-0.05 0 0"><joint name="e" axis="0 1 0" range="-1 1"/><geom size="0.01"/>
+        <body name="tip2" pos="0 0 0.05"><geom size="0.01"/></body></body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="d" joint2="c" polycoef="0.1 0.8 0 0 0"/></equality>
+</mujoco>
+"""
+
+
+def test_scene_with_other_bodies_wrist_and_follower(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(SCENE)
+    tips = {"tip1": [0.0, 0.005, 0.02], "tip2": [0.0, 0.0, 0.0]}
+    hand = HandModel.from_mjcf(path, tips, joints=["e", "c", "wrist", "b", "a"])
+    ik = FingerIK(hand)
+    for start, goal in zip(
+        *(random_configurations(hand, 20, seed) for seed in (0, 1)), strict=True
+    ):
+        goal[2] = start[2]  # the wrist is not the finger's to move
+        result = ik.solve(start, 0, hand.fingertip_positions(goal)[0])
+        assert result.converged
+        np.testing.assert_array_equal(result.q[[0, 2]], start[[0, 2]])
+
+
+def test_finger_without_joints_of_its_own(tmp_path):
+    path = tmp_path / "fork.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="palm"><joint name="w1"/><joint name="w2" axis="1 0 0"/><geom size="0.02"/>'
+        '<body name="l" pos="0 0 0.1"/><body name="r" pos="0 0.1 0"/></body></worldbody></mujoco>'
+    )
+    ik = FingerIK(HandModel.from_mjcf(path, ["l", "r"]))
+    with pytest.raises(InvalidInput, match="'r' has no joint of its own"):
+        ik.solve([0.0, 0.0], 1, [0, 0, 0])
+
+
+def test_bad_input(ik: FingerIK):
+    q = np.zeros(ik.hand.nq)
+    with pytest.raises(UnknownName, match="unknown finger 9"):
+        ik.solve(q, 9, [0, 0, 0])
+    with pytest.raises(InvalidInput, match="q is .*expected"):
+        ik.solve(q[:3], 0, [0, 0, 0])
+    with pytest.raises(InvalidInput, match="target_position is .*nan"):
+        ik.solve(q, 0, [0, np.nan, 0])
+    with pytest.raises(InvalidInput, match="tolerance is 0"):
+        ik.solve(q, 0, [0, 0, 0], tolerance=0)
+    with pytest.raises(InvalidInput, match="max_iterations is 0"):
+        ik.solve(q, 0, [0, 0, 0], max_iterations=0)
+
+
+def test_hand_from_urdf_is_refused_and_a_lost_file_named(tmp_path):
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_text(
+        '<robot name="r"><link name="base"/><link name="tip"/><joint name="j" type="revolute">'
+        '<parent link="base"/><child link="tip"/><limit lower="-1" upper="1"/></joint></robot>'
+    )
+    with pytest.raises(InvalidInput, match=r"hand\.urdf; FingerIK needs a hand from an MJCF"):
+        FingerIK(HandModel.from_urdf(urdf, ["tip"]))
+    path = tmp_path / "scene.xml"
+    path.write_text(SCENE)
+    hand = HandModel.from_mjcf(path, ["tip1"])
+    path.unlink()
+    with pytest.raises(HandModelError, match=r"scene\.xml: MuJoCo cannot read it"):
+        FingerIK(hand)
