@@ -16,7 +16,7 @@ from dexctl.hand import HandModel
 from dexctl.state import Floats
 from dexctl.switch.chain import Indices, check_finger, check_vector, own_joints
 
-_ITERATIONS_PER_START = 40
+_ITERATIONS_PER_START = 25
 _DAMPING = 1e-8  # m^2/rad^2: keeps steps finite where the finger is straight
 _MAX_STEP = 0.5  # rad: the linear model of a step holds no further than this
 
