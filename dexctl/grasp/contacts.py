@@ -1,0 +1,213 @@
+"""Contact models, contact frames, the grasp map G and the stacked hand Jacobian J.
+
+Source: thesis chapter 4 (G_S and J_S of the in-grasp manipulation controller); contact models
+after Prattichizzo and Trinkle, "Grasping" (Springer Handbook of Robotics, chapter 38).
+With w = G f for wrenches, the contact velocities of an object twist t are G^T t.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.state import Bools, Floats
+
+if TYPE_CHECKING:
+    from dexctl.hand import HandModel
+
+CONTACT_MODELS = {"frictionless": 1, "hard": 3, "soft": 4}
+"""Columns of the grasp map per contact: the normal force; the force in world axes; the force in
+world axes and the torque about the normal."""
+
+NORMAL_TOLERANCE = 0.02  # on the squared norm of a unit normal
+
+
+class Contacts(NamedTuple):
+    """Checked contact arrays; rows out of contact are zero, whatever they held.
+
+    Attributes:
+        position: ``(..., m, 3)`` [m], relative to the origin that wrenches are taken about.
+        normal: ``(..., m, 3)``, unit, from the fingertip into the object.
+        active: ``(..., m)`` bool.
+    """
+
+    position: Floats
+    normal: Floats
+    active: Bools
+
+
+def check_contacts(
+    contact_position: ArrayLike,
+    contact_normal: ArrayLike,
+    in_contact: ArrayLike,
+    origin: ArrayLike,
+) -> Contacts:
+    """The contacts relative to ``origin``, rows out of contact zeroed.
+
+    Args:
+        contact_position: ``(..., m, 3)`` [m]; contact_normal: ``(..., m, 3)``;
+        in_contact: ``(..., m)`` bool; origin: ``(..., 3)`` [m] or one ``(3,)`` for all.
+
+    Raises:
+        InvalidInput: shapes that do not belong together; numbers of a finger in contact that
+            are not finite, or a normal that is not of unit length.
+    """
+    position = _rows(contact_position, "contact_position")
+    normal = _rows(contact_normal, "contact_normal")
+    active = check_mask(in_contact, position.shape[:-1])
+    if normal.shape != position.shape:
+        raise InvalidInput(
+            f"contact_normal has shape {normal.shape}; expected that of contact_position, "
+            f"{position.shape}"
+        )
+    offset = np.where(active[..., None], position - check_origin(origin, position), 0.0)
+    normal = np.where(active[..., None], normal, 0.0)
+    squared = np.einsum("...i,...i->...", normal, normal)
+    if not (np.isfinite(offset).all() and np.isfinite(squared).all()):
+        raise InvalidInput(
+            "contact_position, contact_normal or origin is not finite for a finger in contact "
+            f"(first at index {_first_bad(offset, normal)})"
+        )
+    wrong = np.abs(squared - active) > NORMAL_TOLERANCE
+    if wrong.any():
+        index = tuple(int(i) for i in np.argwhere(wrong)[0])
+        raise InvalidInput(
+            f"contact_normal{list(index)} has length {np.sqrt(squared[index]):.4g}; expected 1"
+        )
+    return Contacts(offset, normal, active)
+
+
+def tangent_basis(normal: ArrayLike) -> Floats:
+    """Orthonormal frames ``(..., 3, 3)`` whose columns are two tangents and the normal.
+
+    ``normal`` is ``(..., 3)``, unit. The frame varies smoothly with the normal except where
+    n_z changes sign (Duff et al., "Building an orthonormal basis, revisited", JCGT 2017).
+    A zero normal gives finite numbers of no meaning.
+    """
+    n = np.asarray(normal, float)
+    x, y, z = n[..., 0], n[..., 1], n[..., 2]
+    sign = np.where(z < 0, -1.0, 1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    second = np.stack([b, sign + y * y * a, -y], axis=-1)
+    return np.stack([first, second, n], axis=-1)
+
+
+def grasp_map(
+    contact_position: ArrayLike,
+    origin: ArrayLike,
+    in_contact: ArrayLike | None = None,
+    normal: ArrayLike | None = None,
+    model: str = "hard",
+) -> Floats:
+    """The grasp map G: object wrench (force, torque about ``origin``) w = G f.
+
+    Args:
+        contact_position: ``(..., m, 3)`` [m], world frame.
+        origin: ``(..., 3)`` [m], or one ``(3,)`` for all.
+        in_contact: ``(..., m)`` bool; None: all. Columns of the others are zero, and their rows
+            are not read (they may hold NaN).
+        normal: ``(..., m, 3)`` unit, into the object; needed for "soft" and "frictionless".
+        model: "hard" (a force in world axes), "soft" (a force in world axes and a torque about
+            the normal) or "frictionless" (a normal force).
+
+    Returns:
+        ``(..., 6, 3m)``; ``4m`` columns for soft, ``m`` for frictionless contacts; world frame.
+
+    Raises:
+        InvalidInput: shapes that do not belong together, numbers not finite, no normals.
+        UnknownName: no such model.
+    """
+    if model not in CONTACT_MODELS:
+        raise UnknownName("contact model", model, CONTACT_MODELS)
+    position = _rows(contact_position, "contact_position")
+    batch, m = position.shape[:-2], position.shape[-2]
+    if normal is None:
+        if model != "hard":
+            raise InvalidInput(f"normal is None; the contact model {model!r} needs the normals")
+        normal, checked = np.broadcast_to([0.0, 0.0, 1.0], position.shape), False
+    else:
+        checked = model != "hard"
+    active = np.ones((*batch, m), bool) if in_contact is None else in_contact
+    r, n, active = check_contacts(
+        position,
+        normal if checked else np.broadcast_to([0.0, 0.0, 1.0], position.shape),
+        active,
+        origin,
+    )
+    if model == "frictionless":
+        return np.swapaxes(np.concatenate([n, np.cross(r, n)], axis=-1), -1, -2)
+    columns = CONTACT_MODELS[model]
+    g = np.zeros((*batch, 6, m, columns))
+    for axis in range(3):
+        g[..., axis, :, axis] = active
+        # column `axis` of the skew matrix of r: r x e_axis
+        following, last = (axis + 1) % 3, (axis + 2) % 3
+        g[..., 3 + following, :, axis] = r[..., last]
+        g[..., 3 + last, :, axis] = -r[..., following]
+    if model == "soft":
+        g[..., 3:, :, 3] = np.swapaxes(n, -1, -2)
+    return g.reshape(*batch, 6, m * columns)
+
+
+def hand_jacobian(
+    hand: HandModel,
+    q: ArrayLike,
+    contact_position: ArrayLike,
+    in_contact: ArrayLike | None = None,
+) -> Floats:
+    """The hand Jacobian J_S, stacked: contact velocities v = J dq, ``(..., 3m, d)``.
+
+    Args:
+        hand: the hand; q: ``(..., d)`` [rad]; contact_position: ``(..., m, 3)`` [m], world frame.
+        in_contact: ``(..., m)`` bool; None: all. Rows of the others are zero, and their
+            positions are not read.
+    """
+    position = _rows(contact_position, "contact_position")
+    if in_contact is not None:
+        active = check_mask(in_contact, position.shape[:-1])[..., None]
+        position = np.where(active, position, 0.0)
+    jacobian = hand.contact_jacobian(q, position)
+    if in_contact is not None:
+        jacobian = jacobian * active[..., None]
+    return jacobian.reshape(*jacobian.shape[:-3], 3 * hand.n_fingers, hand.nq)
+
+
+def check_mask(in_contact: ArrayLike, shape: tuple[int, ...]) -> Bools:
+    """``in_contact`` as bools of ``shape``."""
+    active = np.asarray(in_contact)
+    if active.shape != shape:
+        raise InvalidInput(f"in_contact has shape {active.shape}; expected {shape}")
+    return active.astype(bool, copy=False)
+
+
+def check_origin(origin: ArrayLike, position: Floats) -> Floats:
+    """``origin`` with an axis for the fingers, ``(..., 1, 3)`` or ``(1, 3)``."""
+    origin = _numbers(origin, "origin", "(..., 3)")
+    batch = position.shape[:-2]
+    if origin.shape not in ((3,), (*batch, 3)):
+        raise InvalidInput(f"origin has shape {origin.shape}; expected {(*batch, 3)} or (3,)")
+    return origin[..., None, :]
+
+
+def _rows(value: ArrayLike, name: str) -> Floats:
+    rows = _numbers(value, name, "(..., m, 3)")
+    if rows.ndim < 2 or rows.shape[-1] != 3:
+        raise InvalidInput(f"{name} has shape {rows.shape}; expected (..., m, 3)")
+    return rows
+
+
+def _numbers(value: ArrayLike, name: str, shape: str) -> Floats:
+    try:
+        return np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} is not an array of numbers; expected {shape}") from None
+
+
+def _first_bad(offset: Floats, normal: Floats) -> list[int]:
+    bad = ~(np.isfinite(offset) & np.isfinite(normal)).all(axis=-1)
+    return [int(i) for i in np.argwhere(bad)[0]]

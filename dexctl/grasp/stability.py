@@ -1,0 +1,230 @@
+"""The grasp-stability QP: which normal forces leave the least wrench on the object.
+
+Source: thesis chapter 4, the QP of the stability controller, completed so that it has one
+answer: "some c_j = 1" is k convex problems, of which the best is kept; c <= 1 is added, which
+loses nothing; among equal residuals the forces nearest to one are taken, then the lowest j.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dexctl.exceptions import InvalidInput
+from dexctl.grasp.contacts import NORMAL_TOLERANCE, Contacts, check_contacts
+from dexctl.grasp.stability_solver import (
+    solve_lexicographic_batch,
+    solve_stability,
+    solve_stability_batch,
+)
+from dexctl.state import Bools, Floats
+
+MIN_LENGTH = 1e-3
+"""Floor of the default length [m]: one contact with the centroid as origin has distance 0."""
+MIN_REGULARISER = 1e-6
+"""Smallest regulariser beside 0; below it round-off shows in the forces."""
+
+
+class StabilitySolution(NamedTuple):
+    """The forces that leave the least wrench on the object.
+
+    Attributes:
+        forces: ``(..., m)`` normal forces, in [0, 1], as shares of the grip force; zero for
+            fingers out of contact. The largest is 1 (unless ``held`` is -1).
+        residual: ``(...)``, norm of the wrench that they leave, torques divided by ``length``.
+        held: ``(...)`` int, the contact held at one; -1 where there is none.
+        length: ``(...)`` [m], what torques were divided by.
+    """
+
+    forces: Floats
+    residual: Floats
+    held: NDArray[np.intp]
+    length: Floats
+
+
+def stability_forces(
+    contact_position: ArrayLike,
+    contact_normal: ArrayLike,
+    in_contact: ArrayLike,
+    origin: ArrayLike,
+    *,
+    length: ArrayLike | None = None,
+    regulariser: float = 0.0,
+    min_force: float = 0.0,
+    max_force: ArrayLike | None = None,
+) -> StabilitySolution:
+    """Normal forces c that minimise the wrench left on the object (thesis chapter 4).
+
+    Minimises ||W c||^2 + regulariser * sum (1 - c_i)^2 over min_force <= c_i <= 1 with some
+    c_j = 1; W holds the unit wrenches of the normals, torques about ``origin`` divided by
+    ``length``. With regulariser 0: the least residual (to 1e-8), among those the least
+    sum (1 - c_i)^2, among those the lowest j. The answer is exact, a pure function of its
+    arguments, and the same for one hand and for each hand of a batch.
+
+    Args:
+        contact_position: ``(..., m, 3)`` [m]; contact_normal: ``(..., m, 3)``, unit, into the
+            object; in_contact: ``(..., m)`` bool. Rows out of contact are not read.
+        origin: ``(..., 3)`` [m], or one ``(3,)`` for all.
+        length: ``(...)`` or one for all [m]; None: the mean distance of the contacts from the
+            origin, at least 1 mm.
+        regulariser: rho, 0 or at least 1e-6. About 1e-3 keeps the answer from jumping under
+            sensor noise.
+        min_force: least force of every finger in contact, in [0, 1].
+        max_force: ``(..., m)`` or ``(m,)``, in [0, 1]: greatest force of each finger, for
+            unloading it. A finger below 1 is no candidate for the contact held at one, and its
+            least force is min(min_force, max_force). Where no finger may reach 1, ``held`` is
+            -1 and the bounds alone remain. None: 1.
+
+    Returns:
+        Forces, residual, the contact held at one, the length used. No contacts: zeros, -1.
+
+    Raises:
+        InvalidInput: naming the argument, its value and what was expected.
+    """
+    if not (regulariser == 0.0 or (isfinite(regulariser) and regulariser >= MIN_REGULARISER)):
+        raise InvalidInput(f"regulariser is {regulariser}; expected 0 or at least 1e-6")
+    if not 0.0 <= min_force <= 1.0:
+        raise InvalidInput(f"min_force is {min_force}; expected a share in [0, 1]")
+    if regulariser and np.ndim(contact_position) == 2:
+        try:
+            solution = _solve_one(
+                np.asarray(contact_position, float),
+                np.asarray(contact_normal, float),
+                np.asarray(in_contact),
+                np.asarray(origin, float),
+                length,
+                regulariser,
+                min_force,
+                max_force,
+            )
+        except (TypeError, ValueError):
+            solution = None
+        if solution is not None:
+            return solution
+    contacts = check_contacts(contact_position, contact_normal, in_contact, origin)
+    shape = contacts.active.shape
+    scale = characteristic_length(contacts, length)
+    upper = _upper(max_force, contacts.active)
+    m, count = shape[-1], int(np.prod(shape[:-1]))
+    active = contacts.active.reshape(count, m).T
+    wrenches = unit_wrenches(contacts, scale).reshape(count, 6, m)
+    wrenches = np.ascontiguousarray(np.moveaxis(wrenches, 0, -1))
+    upper = upper.reshape(count, m).T
+    lower = np.minimum(upper, np.where(active, min_force, 0.0))
+    if m == 0 or count == 0:
+        forces, held = np.zeros((m, count)), np.full(count, -1)
+    elif regulariser:
+        gram = (wrenches[:, :, None] * wrenches[:, None]).sum(axis=0)
+        forces, held = solve_stability_batch(gram, lower, upper, regulariser, active)
+    else:
+        forces, held = solve_lexicographic_batch(wrenches, lower, upper, active)
+    left = (wrenches * forces).sum(axis=1)
+    return StabilitySolution(
+        np.ascontiguousarray(forces.T).reshape(shape),
+        np.sqrt((left * left).sum(axis=0)).reshape(shape[:-1]),
+        held.reshape(shape[:-1]),
+        scale,
+    )
+
+
+def unit_wrenches(contacts: Contacts, length: ArrayLike) -> Floats:
+    """W ``(..., 6, m)``: wrenches of unit normal forces, torques divided by ``length``."""
+    torque = np.cross(contacts.position, contacts.normal) / np.asarray(length)[..., None, None]
+    return np.swapaxes(np.concatenate([contacts.normal, torque], axis=-1), -1, -2)
+
+
+def characteristic_length(contacts: Contacts, length: ArrayLike | None) -> Floats:
+    """``length`` ``(...)`` checked, or the mean distance of the contacts from the origin [m]."""
+    batch = contacts.active.shape[:-1]
+    if length is None:
+        distance = np.sqrt(np.einsum("...i,...i->...", contacts.position, contacts.position))
+        count = np.maximum(contacts.active.sum(axis=-1), 1)
+        return np.maximum(distance.sum(axis=-1) / count, MIN_LENGTH)
+    value = np.asarray(length, float)
+    if value.shape not in ((), batch):
+        raise InvalidInput(f"length has shape {value.shape}; expected {batch} or one number")
+    if not (np.isfinite(value).all() and (value > 0).all()):
+        raise InvalidInput(f"length is {length}; expected metres above 0")
+    return np.broadcast_to(value, batch)
+
+
+def _upper(max_force: ArrayLike | None, active: Bools) -> Floats:
+    """The greatest force of each finger, ``(..., m)``; 0 out of contact."""
+    if max_force is None:
+        return active.astype(float)
+    limit = np.asarray(max_force, float)
+    if limit.shape not in (active.shape, active.shape[-1:]):
+        raise InvalidInput(f"max_force has shape {limit.shape}; expected {active.shape}")
+    limit = np.where(active, limit, 0.0)
+    if not ((limit >= 0) & (limit <= 1)).all():
+        raise InvalidInput(f"max_force is {max_force}; expected shares in [0, 1]")
+    return limit
+
+
+def _solve_one(
+    position: Floats,
+    normal: Floats,
+    in_contact: NDArray,
+    origin: Floats,
+    length: ArrayLike | None,
+    regulariser: float,
+    min_force: float,
+    max_force: ArrayLike | None,
+) -> StabilitySolution | None:
+    """One hand, in plain Python numbers: a fifth of the time that the arrays would take.
+
+    None where an argument is not what it should be, for the general path to say so.
+    """
+    m = len(position)
+    fingers, three = (m,), (m, 3)
+    if position.shape != three or normal.shape != three or in_contact.shape != fingers:
+        return None
+    if origin.shape != (3,) or not (length is None or np.ndim(length) == 0):
+        return None
+    limits = [1.0] * m
+    if max_force is not None:
+        limit = np.asarray(max_force, float)
+        if limit.shape != fingers:
+            return None
+        limits = limit.tolist()
+    touching = [i for i, touch in enumerate(in_contact.tolist()) if touch]
+    if not touching:
+        return None
+    points, normals = position.tolist(), normal.tolist()
+    ox, oy, oz = origin.tolist()
+    rows: list[list[float]] = []
+    total = 0.0
+    for i in touching:
+        x, y, z = points[i]
+        a, b, c = normals[i]
+        x, y, z = x - ox, y - oy, z - oz
+        # Comparisons with NaN are false, so this also refuses what is not finite.
+        if not (abs(a * a + b * b + c * c - 1.0) <= NORMAL_TOLERANCE and 0 <= limits[i] <= 1):
+            return None
+        rows.append([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
+        total += sqrt(x * x + y * y + z * z)
+    scale = max(total / len(touching), MIN_LENGTH) if length is None else float(length)  # type: ignore[arg-type]
+    if not (scale > 0.0 and isfinite(scale) and isfinite(total)):
+        return None
+    wrenches = np.array(rows)
+    wrenches[:, 3:] *= 1.0 / scale
+    hessian = wrenches @ wrenches.T
+    hessian.ravel()[:: len(touching) + 1] += regulariser
+    upper = [limits[i] for i in touching]
+    lower = (
+        [min(min_force, u) for u in upper] if max_force is not None else [min_force] * len(upper)
+    )
+    values, held = solve_stability(hessian, lower, upper, regulariser)
+    left = np.array(values) @ wrenches
+    forces = [0.0] * m
+    for i, value in zip(touching, values, strict=True):
+        forces[i] = value
+    return StabilitySolution(
+        np.array(forces),
+        np.array(sqrt(left @ left)),
+        np.array(touching[held] if held >= 0 else -1),
+        np.array(scale),
+    )
