@@ -64,8 +64,17 @@ _HANDS = {
                 "rf_tip": (0.0, 0.0, 0.0267),
                 "th_tip": (0.0, 0.0, 0.0423),
             },
-            grasp_centre=(0.06, 0.0, 0.08),
-            object_radius=0.03,
+            # above the palm: three fingers in front of the object, the thumb behind it
+            grasp_centre=(0.015, -0.018, 0.09),
+            object_radius=0.035,
+            open_q={
+                **{
+                    f"{finger}j{k}": angle
+                    for finger in ("ff", "mf", "rf")
+                    for k, angle in enumerate((0.0, 0.6, 0.6, 0.6))
+                },
+                **{f"thj{k}": angle for k, angle in enumerate((1.3, 0.2, 0.35, 0.35))},
+            },
         ),
     )
 }
@@ -111,4 +120,23 @@ def _menagerie_file(hand: HandEntry, folder: str | Path | None) -> Path:
         if not path.is_file():
             raise HandModelError(f"{hand.name}: {path} is not there; expected {hand.file} in the folder")
         return path
-    raise HandModelError(f"{hand.name}: no folder")
+    model, file = Path(hand.file).parts
+    how = (
+        f"give the folder that holds {model}/ (a clone of "
+        "https://github.com/google-deepmind/mujoco_menagerie) as `folder` or in DEXCTL_MENAGERIE"
+    )
+    try:
+        import mujoco_menagerie  # an extra, and it downloads: only where it is asked for
+    except ImportError:
+        raise HandModelError(
+            f"{hand.name}: the hand's files are not part of dexctl; pip install "
+            f"mujoco-menagerie, or {how}"
+        ) from None
+    try:
+        path = mujoco_menagerie.get(model).path(progress=None) / file
+    except (mujoco_menagerie.MenagerieError, OSError, ValueError, LookupError) as error:
+        reason = " ".join(str(error).split())
+        raise HandModelError(f"{hand.name}: mujoco-menagerie cannot get it ({reason}); {how}") from None
+    if not path.is_file():
+        raise HandModelError(f"{hand.name}: {path} is not there; {how}")
+    return path

@@ -259,7 +259,7 @@ def _entry_of(hand: HandModel) -> hands.HandEntry | None:
     """The list's entry of a hand, if it came from the same file with the same fingertips."""
     for name in hands.names():
         entry = hands.entry(name)
-        same_file = hand.path.as_posix().endswith(entry.file)
+        same_file = hand.path.name == Path(entry.file).name
         if same_file and set(hand.fingertip_names) == set(entry.fingertips):
             return entry
     return None
