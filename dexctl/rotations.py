@@ -1,0 +1,46 @@
+"""Quaternions (wxyz) for batches, in the few forms that dexctl needs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dexctl.state import Floats
+
+
+def rotate(quaternion: Floats, vector: Floats) -> Floats:
+    """``vector`` ``(..., 3)`` turned by ``quaternion`` ``(..., 4)``."""
+    w, u = quaternion[..., :1], quaternion[..., 1:]
+    t = 2.0 * cross(u, vector)
+    return vector + w * t + cross(u, t)
+
+
+def inverse(quaternion: Floats) -> Floats:
+    """The inverse of unit quaternions ``(..., 4)``."""
+    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def multiply(a: Floats, b: Floats) -> Floats:
+    """The quaternion product ``a b``: b's turn first, then a's."""
+    aw, bw, av, bv = a[..., :1], b[..., :1], a[..., 1:], b[..., 1:]
+    scalar = aw * bw - (av * bv).sum(axis=-1, keepdims=True)
+    return np.concatenate([scalar, aw * bv + bw * av + cross(av, bv)], axis=-1)
+
+
+def rotation_vector(quaternion: Floats) -> Floats:
+    """Axis times angle ``(..., 3)`` [rad], angle in [0, pi]."""
+    sign = np.where(quaternion[..., :1] < 0, -1.0, 1.0)
+    w, u = sign * quaternion[..., :1], sign * quaternion[..., 1:]
+    sine = np.sqrt((u * u).sum(axis=-1, keepdims=True))
+    angle = 2.0 * np.arctan2(sine, w)
+    return u * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """The cross product along the last axis (numpy's is an order slower for small arrays)."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[..., 0] = ay * bz - az * by
+    out[..., 1] = az * bx - ax * bz
+    out[..., 2] = ax * by - ay * bx
+    return out
