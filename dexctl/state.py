@@ -64,9 +64,10 @@ class GraspState:
         if self.object_quaternion is not None:
             _expect(self, "object_quaternion", (*batch, 4))
         for name in ("time", "age"):
-            shape = np.shape(getattr(self, name))
-            if shape:  # one number stands for all environments
-                _check_shape(self, name, shape, batch)
+            value = getattr(self, name)
+            if type(value) is not float:
+                shape = np.shape(value)
+                _check_shape(self, name, shape, batch if shape else ())
 
     @property
     def batch_shape(self) -> tuple[int, ...]:

@@ -1,0 +1,119 @@
+"""The rooms of docs/architecture.md: who may import whom, and which engine has which door."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("dexctl", "learning", "hardware")
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+# the package's own __init__ names every room, for type checkers and for lazy loading
+MODULES = [path for path in FILES if path != ROOT / "dexctl" / "__init__.py"]
+
+# Room: the modules of dexctl it consists of. What is not listed is an application (the command
+# line, reports), which may use every room of dexctl and which no room may use.
+ROOMS = {
+    "base": "exceptions state streams rotations description hand hands controller plant limits",
+    "grasp": "grasp",
+    "igm": "igm",
+    "switch": "switch",
+    "gait": "gait",
+    "sim": "sim",
+}
+ALLOWED = {
+    "base": {"base"},
+    "grasp": {"base", "grasp"},
+    "igm": {"base", "grasp", "igm"},
+    "switch": {"base", "grasp", "switch"},
+    "gait": {"base", "grasp", "igm", "switch", "gait"},
+    "sim": {"base", "sim"},
+    "application": {*ROOMS, "application", "dexctl"},
+    "learning": {*ROOMS, "dexctl", "learning"},
+    "hardware": {*ROOMS, "dexctl", "hardware"},
+}
+DOORS = {
+    "pinocchio": ["dexctl/hand.py"],
+    "proxsuite": ["dexctl/grasp/"],
+    "casadi": ["dexctl/switch/"],
+    "mink": ["dexctl/switch/finger_ik.py"],
+    # mink's models are MuJoCo's, so its door needs MuJoCo too
+    "mujoco": ["dexctl/sim/", "dexctl/description.py", "dexctl/switch/finger_ik.py"],
+    "mujoco_menagerie": ["dexctl/hands/"],
+    "torch": ["learning/"],
+    "gymnasium": ["learning/"],
+    "stable_baselines3": ["learning/"],
+    "dynamixel_sdk": ["hardware/"],
+    "serial": ["hardware/"],
+}
+
+
+def name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def imports(path: Path) -> Iterator[str]:
+    """The dotted names that a file imports anywhere, those for type checkers included."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{name(path)} line {node.lineno}: relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def room(dotted: str) -> str | None:
+    """The room of a module (``dexctl.grasp.contacts`` -> grasp); None for other packages."""
+    package, *rest = dotted.split(".")
+    if package in ("learning", "hardware"):
+        return package
+    if package != "dexctl":
+        return None
+    if not rest:
+        return "dexctl"
+    for known, members in ROOMS.items():
+        if rest[0] in members.split():
+            return known
+    inside = ROOT / "dexctl" / rest[0]
+    is_module = inside.is_dir() or inside.with_suffix(".py").is_file()
+    return "application" if is_module else "dexctl"  # else a name out of dexctl's __init__
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name)
+def test_dependency_direction(path: Path) -> None:
+    own = room(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    assert own is not None
+    for dotted in imports(path):
+        other = room(dotted)
+        assert other is None or other in ALLOWED[own], (
+            f"{name(path)}, in the room {own}, imports {dotted} of {other}; "
+            f"it may import {', '.join(sorted(ALLOWED[own]))}"
+        )
+
+
+@pytest.mark.parametrize("engine", DOORS)
+def test_engines_come_in_through_their_doors(engine: str) -> None:
+    for path in FILES:
+        if any(dotted.split(".")[0] == engine for dotted in imports(path)):
+            assert any(name(path).startswith(door) for door in DOORS[engine]), (
+                f"{name(path)} imports {engine}, whose doors are {', '.join(DOORS[engine])}"
+            )
+
+
+def test_the_doors_are_there() -> None:
+    doors = [door for doors in DOORS.values() for door in doors]
+    assert [door for door in doors if not (ROOT / door).exists()] == []
+
+
+@pytest.mark.parametrize("path", FILES, ids=name)
+def test_modules_are_small(path: Path) -> None:
+    lines = len(path.read_text().splitlines())
+    assert lines <= 400, f"{name(path)} has {lines} lines; make it two modules"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name)
+def test_modules_say_what_they_are(path: Path) -> None:
+    assert ast.get_docstring(ast.parse(path.read_text())), f"{name(path)} has no docstring"

@@ -1,0 +1,48 @@
+"""The ```python snippets of README and docs run, page by page, top to bottom."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted(path for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+FENCE = re.compile(r"^```python\n(.*?)^```$", re.M | re.S)
+
+
+def snippets(page: Path) -> list[str]:
+    """The snippets, each behind as many empty lines as stand before it on the page."""
+    text = page.read_text()
+    found = FENCE.finditer(text)
+    return ["\n" * text.count("\n", 0, match.start(1)) + match.group(1) for match in found]
+
+
+WITH_SNIPPETS = [page for page in PAGES if snippets(page)]
+
+
+@pytest.mark.parametrize("page", WITH_SNIPPETS, ids=lambda page: page.name)
+def test_snippets_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    codes = snippets(page)
+    if any("wonik_allegro" in code for code in codes):
+        monkeypatch.setenv("DEXCTL_MENAGERIE", str(request.getfixturevalue("menagerie")))
+    if any("import gymnasium" in code for code in codes):
+        pytest.importorskip("gymnasium", reason="the extra 'learning' is not installed")
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "__main__"}
+    for code in codes:
+        exec(compile(code, str(page), "exec"), namespace)
+
+
+def test_pages_with_code_are_found() -> None:
+    assert {"quickstart.md", "add-your-hand.md", "equations.md"} <= {p.name for p in WITH_SNIPPETS}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_between_files_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text()):
+        if "://" not in target and not target.startswith("out/"):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"

@@ -1,0 +1,82 @@
+"""`import dexctl`: what it loads, what it costs, and what it finds later."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import dexctl
+
+HEAVY = ("casadi", "mujoco", "proxsuite", "mink", "torch", "matplotlib", "imageio", "rich", "tyro")
+
+
+def python(code: str) -> str:
+    """What a fresh interpreter prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def loaded(code: str) -> list[str]:
+    """Those of the heavy packages that are loaded after ``code``."""
+    report = f"import sys, json; print(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
+    return json.loads(python(f"{code}; {report}"))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import dexctl",
+        "import dexctl; dexctl.grasp.stability_forces; dexctl.GraspState",
+        "import dexctl; dexctl.InGraspManipulation; dexctl.ContactSwitch; dexctl.FingerGaiting",
+    ],
+)
+def test_heavy_engines_wait_for_their_first_use(code: str) -> None:
+    assert loaded(code) == []
+
+
+def test_costs_at_most_a_third_more_than_what_it_stands_on() -> None:
+    def cost(modules: str) -> float:
+        # processor time, because other processes must not count
+        code = f"from time import process_time as t; a = t(); import {modules}; print(t() - a)"
+        return float(python(code))
+
+    plain, ours = [], []
+    for attempt in range(20):
+        plain.append(cost("numpy, scipy, pinocchio"))
+        ours.append(cost("dexctl"))
+        if attempt >= 4 and min(ours) <= 1.3 * min(plain):
+            break
+    assert min(ours) <= 1.3 * min(plain), f"{min(ours):.3f} s against {min(plain):.3f} s"
+
+
+def test_every_public_name_is_found() -> None:
+    for name in dexctl.__all__:
+        assert getattr(dexctl, name) is not None
+        assert name in dir(dexctl)
+    assert dexctl.InGraspManipulation is dexctl.igm.InGraspManipulation
+    assert dexctl.ContactSwitch is dexctl.switch.ContactSwitch
+    assert dexctl.FingerGaiting is dexctl.gait.FingerGaiting
+    for name in ("InGraspManipulation", "ContactSwitch", "FingerGaiting"):
+        assert issubclass(getattr(dexctl, name), dexctl.Controller)
+
+
+def test_names_are_lazy_and_complete() -> None:
+    """Each name by itself, in an interpreter that has loaded nothing else."""
+    names = [name for name in dexctl.__all__ if name in dexctl._LAZY]
+    checks = "; ".join(f"assert dexctl.{name}" for name in reversed(names))
+    python(f"import dexctl; {checks}")
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'InGrasp'"):
+        dexctl.InGrasp  # noqa: B018
+
+
+def test_version() -> None:
+    assert dexctl.__version__[0].isdigit()
