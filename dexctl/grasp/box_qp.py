@@ -18,24 +18,32 @@ never moves.
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
+from numpy.typing import NDArray
 
 from dexctl.state import Bools, Floats
 
 TOLERANCE = 1e-9  # on bounds and multipliers; callers scale H to an identity plus a PSD part
 _FREE, _LOWER, _UPPER = 0, -1, 1
-_BATCH_PASSES = 12  # cyclic passes before what remains goes to the finite method
 _MAX_PIVOTS = 5000  # round-off could cycle between two sets that differ by less than it
 
 
 def solve_box(
-    table: list[list[float]], y: list[float], lower: list[float], upper: list[float]
+    table: list[list[float]],
+    y: list[float],
+    lower: list[float],
+    upper: list[float],
+    roof: float = inf,
 ) -> tuple[list[float], float]:
     """One box QP in plain Python floats, from its unconstrained solution.
 
     Args:
         table: H^-1, k rows of k; y: H^-1 b. Both are overwritten.
-        lower, upper: k bounds each.
+        lower: k lower bounds.
+        upper: k upper bounds.
+        roof: a problem whose objective is sure to rise above this is left unsolved.
 
     Returns:
         The solution, and how far its objective is above the one unconstrained.
@@ -45,23 +53,26 @@ def solve_box(
     rise = 0.0
     greedy = 3 * k + 4  # largest violation first for this many pivots, then the least index
     for count in range(_MAX_PIVOTS):
-        pick, worst = -1, TOLERANCE
+        pick, worst, dual = -1, TOLERANCE, True
         for i in range(k):
             value, side = y[i], at[i]
             if side == _FREE:
                 violation = value - upper[i]
                 if violation <= TOLERANCE:
                     violation = lower[i] - value
-            elif upper[i] > lower[i]:
-                violation = side * value
             else:
-                continue
+                violation = side * value
+                if violation > TOLERANCE:
+                    if upper[i] == lower[i]:
+                        continue
+                    dual = False
             if violation > worst:
                 pick = i
                 if count >= greedy:
                     break
                 worst = violation
-        if pick < 0:
+        # With every multiplier right, what is left out can only raise the objective.
+        if pick < 0 or (dual and rise > roof):
             break
         row = table[pick]
         inverse = 1.0 / row[pick]
@@ -103,10 +114,11 @@ class BoxBatch:
     """Many box QPs at once, the batch in the last axis.
 
     Attributes:
-        table: ``(k, k, n)``, H^-1 at the start. A variable held in advance has zero row, column
-            and value bounds [value, value].
+        table: ``(k, k, n)``, H^-1 at the start. A variable held in advance has zero row and
+            column, and its value between its bounds.
         y: ``(k, n)``, the unconstrained solution at the start.
-        lower, upper: ``(k, n)``.
+        lower: ``(k, n)``.
+        upper: ``(k, n)``.
         at: ``(k, n)`` int8, 0 free, -1 at the lower bound, 1 at the upper.
         rise: ``(n,)``, objective above the unconstrained one.
     """
@@ -115,26 +127,51 @@ class BoxBatch:
         self.table, self.y, self.lower, self.upper = table, y, lower, upper
         self.at = np.zeros(y.shape, np.int8)
         self.rise = np.zeros(y.shape[-1])
-        self._movable = upper > lower
 
-    def violated(self) -> Bools:
-        """Which entries break a bound or hold a multiplier of the wrong sign, ``(k, n)``."""
-        y = self.y
-        free = self.at == _FREE
-        out = (y < self.lower - TOLERANCE) | (y > self.upper + TOLERANCE)
-        wrong = (self.at * y > TOLERANCE) & self._movable
-        return np.where(free, out, wrong)
+    def solve(self, roof: Floats | None = None) -> None:
+        """Pivot until every problem is solved; see :func:`solve_box`.
 
-    def solve(self) -> Bools:
-        """Pivot until done; returns which problems are not, ``(n,)``: see :func:`solve_box`."""
-        for _ in range(_BATCH_PASSES):
-            violated = self.violated()
-            rows = violated.any(axis=1)
-            if not rows.any():
-                return np.zeros(self.y.shape[-1], bool)
-            for i in np.flatnonzero(rows):
-                self._pivot(i)
-        return self.violated().any(axis=0)
+        Args:
+            roof: ``(n,)``; problems whose ``rise`` is sure to end above it are left unsolved,
+                with a ``rise`` above it. None: all are solved.
+        """
+        k, count = self.y.shape
+        live = np.arange(count)
+        table, y, at, rise = self.table, self.y, self.at, self.rise
+        lower, upper = self.lower, self.upper
+        movable = np.where(upper > lower, 1.0, 0.0)
+        for step in range(_MAX_PIVOTS):
+            wrong = at * y
+            free = at == _FREE
+            out = np.maximum(y - upper, lower - y)
+            violation = np.where(free, out, wrong * movable)
+            if step < 3 * k + 4:
+                pick = violation.argmax(axis=0)
+            else:
+                pick = (violation > TOLERANCE).argmax(axis=0)
+            everyone = np.arange(live.size)
+            going = violation[pick, everyone] > TOLERANCE
+            if roof is not None:
+                # With every multiplier right, what is left out can only raise the objective.
+                going &= (rise <= roof) | (wrong > TOLERANCE).any(axis=0)
+            left = int(np.count_nonzero(going))
+            if left < live.size:
+                if live.size < count or left:
+                    done = ~going
+                    where = live[done]
+                    self.table[:, :, where] = table[:, :, done]
+                    self.y[:, where], self.at[:, where] = y[:, done], at[:, done]
+                    self.rise[where] = rise[done]
+                if not left:
+                    return
+                live, pick, everyone = live[going], pick[going], everyone[:left]
+                table, y, at, free = table[:, :, going], y[:, going], at[:, going], free[:, going]
+                rise = rise[going]
+                lower, upper, movable = lower[:, going], upper[:, going], movable[:, going]
+                roof = None if roof is None else roof[going]
+            _pivot(table, y, at, rise, free, lower, upper, pick, everyone)
+        self.table[:, :, live] = table
+        self.y[:, live], self.at[:, live], self.rise[live] = y, at, rise
 
     def shift(self, change: Floats) -> None:
         """Let b change by ``change`` ``(k, n)``, the bases staying as they are."""
@@ -147,36 +184,36 @@ class BoxBatch:
         """The variables, ``(k, n)``."""
         held = np.where(self.at == _LOWER, self.lower, self.upper)
         values = np.where(self.at == _FREE, self.y, held)
-        return np.clip(values, self.lower, self.upper)
+        return np.minimum(np.maximum(values, self.lower), self.upper)
 
-    def _pivot(self, i: int) -> None:
-        """Exchange variable i with its multiplier in the problems where i is violated."""
-        table, y, at = self.table, self.y, self.at[i]
-        yi, lower, upper = y[i], self.lower[i], self.upper[i]
-        free = at == _FREE
-        above = yi > upper + TOLERANCE
-        picked = np.where(
-            free, above | (yi < lower - TOLERANCE), (at * yi > TOLERANCE) & self._movable[i]
-        )
-        # A picked entry of a table never has a zero diagonal: that belongs to variables held.
-        inverse = np.divide(picked, table[i, i], out=np.zeros_like(yi), where=picked)
-        target = np.where(free, np.where(above, upper, lower), 0.0)
-        difference = np.where(picked, target - yi, 0.0)
-        step = difference * inverse
-        self.rise += np.where(free, difference, -difference) * step
-        kept = np.where(free, 0.0, np.where(at == _UPPER, upper, lower))
-        entering = step + kept
 
-        column = table[:, i]
-        y += column * step
-        np.copyto(yi, entering, where=picked)
-        factor = column * inverse
-        row = table[i].copy()
-        table -= factor[:, None] * row
-        row *= inverse
-        np.negative(row, out=row)
-        np.copyto(table[:, i], factor, where=picked)
-        np.copyto(table[i], row, where=picked)
-        np.copyto(table[i, i], inverse, where=picked)
-        side = np.where(free, np.where(above, _UPPER, _LOWER), _FREE).astype(np.int8)
-        np.copyto(at, side, where=picked)
+def _pivot(
+    table: Floats,
+    y: Floats,
+    at: NDArray[np.int8],
+    rise: Floats,
+    free: Bools,
+    lower: Floats,
+    upper: Floats,
+    pick: NDArray[np.intp],
+    everyone: NDArray[np.intp],
+) -> None:
+    """Exchange variable ``pick`` with its multiplier, in place, one for each problem."""
+    column = table[:, pick, everyone]
+    row = table[pick, :, everyone].T
+    inverse = 1.0 / column[pick, everyone]
+    value, low, high = y[pick, everyone], lower[pick, everyone], upper[pick, everyone]
+    leaving = free[pick, everyone]  # from the free ones to a bound
+    above = value > high
+    difference = np.where(leaving, np.where(above, high, low), 0.0) - value
+    step = difference * inverse
+    rise += np.where(leaving, step, -step) * difference
+    kept = np.where(leaving, 0.0, np.where(at[pick, everyone] == _UPPER, high, low))
+    factor = column * inverse
+    y += column * step
+    y[pick, everyone] = step + kept
+    table -= factor[:, None] * row
+    table[:, pick, everyone] = factor
+    table[pick, :, everyone] = (row * -inverse).T
+    table[pick, pick, everyone] = inverse
+    at[pick, everyone] = np.where(leaving, np.where(above, _UPPER, _LOWER), _FREE)

@@ -13,7 +13,8 @@ solved. Objectives in here are divided by rho, and counted from the unconstraine
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,20 +59,31 @@ def solve_stability(
     )
     if not candidates:
         return solve_box(table, free, list(lower), list(upper))[0], -1
-    best, forces, held = np.inf, free, -1
+    best, forces, held = inf, free, -1
     for bound, j in candidates:
         if bound >= best - TIE and (j > held or bound > best + TIE):
             continue
         row = table[j]
-        step = (1.0 - free[j]) / row[j]
+        scale = 1.0 / row[j]
+        step = (1.0 - free[j]) * scale
         trial = [c + step * a for c, a in zip(free, row, strict=True)]
         trial[j] = 1.0
         value = bound
-        for c, low, high in zip(trial, lower, upper, strict=True):
-            if c < low - TOLERANCE or c > high + TOLERANCE:
-                trial, rise = _with_one_held(table, trial, j, lower, upper)
-                value += rise
-                break
+        # What keeping the costliest of the broken bounds alone would add.
+        toll = 0.0
+        for i in range(k):
+            over = lower[i] - trial[i]
+            if over <= TOLERANCE:
+                over = trial[i] - upper[i]
+                if over <= TOLERANCE:
+                    continue
+            a = row[i]
+            toll = max(toll, over * over / (table[i][i] - a * a * scale))
+        if toll:
+            if bound + toll > best + TIE:
+                continue
+            trial, rise = _with_one_held(table, trial, j, lower, upper, best + TIE - bound)
+            value += rise
         if value < best - TIE or (j < held and value <= best + TIE):
             best, forces, held = min(value, best), trial, j
     return [min(max(c, a), b) for c, a, b in zip(forces, lower, upper, strict=True)], held
@@ -83,6 +95,7 @@ def _with_one_held(
     j: int,
     lower: Sequence[float],
     upper: Sequence[float],
+    roof: float,
 ) -> tuple[list[float], float]:
     """The box QP with c_j = 1, from its solution without bounds."""
     others = [i for i in range(len(start)) if i != j]
@@ -93,7 +106,11 @@ def _with_one_held(
         whole, f = table[i], row[i] * scale
         reduced.append([whole[m] - f * row[m] for m in others])
     solution, rise = solve_box(
-        reduced, [start[i] for i in others], [lower[i] for i in others], [upper[i] for i in others]
+        reduced,
+        [start[i] for i in others],
+        [lower[i] for i in others],
+        [upper[i] for i in others],
+        roof,
     )
     solution.insert(j, 1.0)
     return solution, rise
@@ -128,7 +145,8 @@ def solve_stability_batch(
     alone = np.flatnonzero(np.isinf(lowest))
     if alone.size:  # no contact may be held at one: the bounds alone
         box = BoxBatch(table[:, :, alone], free[:, alone], lower[:, alone], upper[:, alone])
-        clipped[:, alone] = _finish(box, lambda: gram[:, :, alone], regulariser)
+        box.solve()
+        clipped[:, alone] = box.solution()
         held[alone] = -1
     hard = np.flatnonzero((np.abs(forces) > TOLERANCE).any(axis=0) & np.isfinite(lowest))
     if not hard.size:
@@ -140,7 +158,8 @@ def solve_stability_batch(
     which, column = np.nonzero(bound[:, hard] <= roof + TIE)
     where = hard[column]
     box = _hold_at_one(table, free, bound, step, lower, upper, which, where)
-    solutions = _finish(box, lambda: gram[:, :, where], regulariser)
+    box.solve(roof[column] + TIE)
+    solutions = box.solution()
     value = np.full((len(lower), n), np.inf)
     value[which, where] = box.rise
     value = value[:, hard]
@@ -186,14 +205,12 @@ def solve_lexicographic_batch(
     )
     grams = gram[:, :, where]
     forces = np.full((m, where.size), np.inf)
-    shift = np.zeros((m, where.size))
     for _ in range(_MAX_MULTIPLIER_STEPS):
-        previous, forces = forces, _finish(box, lambda: grams, _PENALTY, shift)
+        box.solve()
+        previous, forces = forces, box.solution()
         if not np.abs(forces - previous).max(initial=0.0) > 1e-12:
             break
-        change = np.einsum("ijn,jn->in", grams, forces) / -_PENALTY
-        shift += change
-        box.shift(change)
+        box.shift(np.einsum("ijn,jn->in", grams, forces) / -_PENALTY)
     residual = np.sqrt((np.einsum("ajn,jn->an", wrenches[:, :, where], forces) ** 2).sum(axis=0))
     spread = (np.where(active[:, where], 1.0 - forces, 0.0) ** 2).sum(axis=0)
 
@@ -267,32 +284,6 @@ def _hold_at_one(
     box = BoxBatch(tables, y, lower, upper)
     box.rise += bound[which, where]
     return box
-
-
-def _finish(
-    box: BoxBatch, grams: Callable[[], Floats], regulariser: float, shift: Floats | None = None
-) -> Floats:
-    """Solve the boxes; those that the quick order of pivots leaves go to the finite method."""
-    left = box.solve()
-    forces = box.solution()
-    if left.any():
-        for p in np.flatnonzero(left):
-            hessian = grams()[:, :, p] / regulariser + np.eye(len(forces))
-            target = np.ones(len(forces)) if shift is None else 1.0 + shift[:, p]
-            moves = box.upper[:, p] > box.lower[:, p]
-            held = box.lower[:, p]
-            reduced = np.linalg.inv(hessian[np.ix_(moves, moves)])
-            pull = target[moves] - hessian[np.ix_(moves, ~moves)] @ held[~moves]
-            forces[:, p] = held
-            forces[moves, p], _ = solve_box(
-                reduced.tolist(),
-                (reduced @ pull).tolist(),
-                box.lower[moves, p].tolist(),
-                box.upper[moves, p].tolist(),
-            )
-            difference = forces[:, p] - np.linalg.solve(hessian, target)
-            box.rise[p] = difference @ hessian @ difference
-    return forces
 
 
 def _polish(
