@@ -3,6 +3,7 @@
 Importing this package loads MuJoCo; `import dexctl` does not.
 """
 
+from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.objects import object_names
 from dexctl.sim.scene import Scene
 from dexctl.sim.simulator import BatchSimulator, SimulatorState
@@ -11,6 +12,7 @@ from dexctl.sim.trial import Trace, run
 
 __all__ = [
     "BatchSimulator",
+    "GroupedSimulator",
     "Scene",
     "SimulatorState",
     "Tactile",

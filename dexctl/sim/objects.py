@@ -72,9 +72,7 @@ def _rotation_onto(a: Floats, b: Floats) -> Floats:
     if np.dot(a, b) < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])
     cross = np.cross(a, b)
-    skew = np.array(
-        [[0, -cross[2], cross[1]], [cross[2], 0, -cross[0]], [-cross[1], cross[0], 0]]
-    )
+    skew = np.array([[0, -cross[2], cross[1]], [cross[2], 0, -cross[0]], [-cross[1], cross[0], 0]])
     return np.eye(3) + skew + skew @ skew / (1 + np.dot(a, b))
 
 
@@ -175,7 +173,9 @@ def add_object(
     if name != MESH and name not in _SHAPES:
         raise UnknownName("object", name, (*_SHAPES, MESH))
     if (name == MESH) != (mesh is not None):
-        raise InvalidInput(f"object {name!r} with object_mesh={mesh!r}; expected both or neither of 'mesh' and a file")
+        raise InvalidInput(
+            f"object {name!r} with object_mesh={mesh!r}; a mesh file goes with object 'mesh' only"
+        )
     common = {
         "condim": 4,
         "friction": list(friction),
@@ -217,13 +217,14 @@ def _read_mesh(path: Path) -> tuple[Floats, np.ndarray]:
     if not path.is_file():
         raise SimulationError(f"object_mesh {str(path)!r}: no such file")
     spec = mujoco.MjSpec()
-    spec.add_mesh(name="object", file=str(path.resolve()), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+    convex = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    spec.add_mesh(name="object", file=str(path.resolve()), inertia=convex)
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="object")
     try:
         model = spec.compile()
     except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise SimulationError(f"object_mesh {str(path)!r}: MuJoCo cannot read it: {reason}") from None
+        why = " ".join(str(error).split())
+        raise SimulationError(f"object_mesh {str(path)!r}: MuJoCo cannot read it: {why}") from None
     # the compiler moves the vertices into the mesh's inertial frame; take them back
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.mesh_quat[0])

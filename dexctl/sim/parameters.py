@@ -23,7 +23,8 @@ def _friction(scene: Scene, model: mujoco.MjModel, value: float) -> None:
 
 def _object_mass(scene: Scene, model: mujoco.MjModel, value: float) -> None:
     body = model.body("object").id
-    model.body_inertia[body] = scene.model.body_inertia[body] * (value / scene.model.body_mass[body])
+    ratio = value / scene.model.body_mass[body]
+    model.body_inertia[body] = scene.model.body_inertia[body] * ratio
     model.body_mass[body] = value
     mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses
 
@@ -95,11 +96,13 @@ class ParameterSet:
         values = np.asarray(value, float)
         if values.shape not in ((), (self._count,)):
             raise InvalidInput(
-                f"{name} has shape {values.shape}; expected () or ({self._count},), one per environment"
+                f"{name} has shape {values.shape}; expected () or ({self._count},), one for each "
+                "environment"
             )
         zero = _SETTERS[name][1]
         good = np.isfinite(values) & ((values >= 0) if zero else (values > 0))
         if not good.all():
             bad = np.atleast_1d(values)[~np.atleast_1d(good)][0]
-            raise InvalidInput(f"{name} is {bad}; expected finite numbers {'>= 0' if zero else '> 0'}")
+            bound = ">= 0" if zero else "> 0"
+            raise InvalidInput(f"{name} is {bad}; expected finite numbers {bound}")
         return np.broadcast_to(values, (self._count,)).copy()

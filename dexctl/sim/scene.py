@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from dexctl import hands
 from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
 from dexctl.hand import HandModel
+from dexctl.sim import checks
 from dexctl.sim.objects import MESH, add_object
 from dexctl.sim.tactile import add_sensors
 from dexctl.state import Floats
@@ -53,7 +54,7 @@ class Scene:
         hand: HandModel,
         spec: mujoco.MjSpec,
         *,
-        object: str,
+        object: str,  # noqa: A002
         object_mass: float,
         object_width: float,
         gravity: Floats,
@@ -80,7 +81,7 @@ class Scene:
     def build(
         cls,
         hand: HandModel | str,
-        object: str = "cube",
+        object: str = "cube",  # noqa: A002 (the field's name for it)
         gravity: str | ArrayLike = "up",
         *,
         object_mass: float = 0.1,
@@ -124,13 +125,15 @@ class Scene:
         if object_size is None:
             width = 0.0 if object == MESH or entry is None else 2 * entry.object_radius
         else:
-            width = _positive("object_size", object_size)
-        centre = _vector("grasp_centre", entry.grasp_centre if grasp_centre is None and entry else grasp_centre, 3)
+            width = checks.positive("object_size", object_size)
+        if grasp_centre is None and entry is not None:
+            grasp_centre = entry.grasp_centre
+        centre = checks.vector("grasp_centre", grasp_centre, 3)
         if open_q is None:
             opened = _open_hand(model, entry.open_q if entry else {})
         else:
-            opened = model.clip(_vector("open_q", open_q, model.nq))
-        mass = _positive("object_mass", object_mass)
+            opened = model.clip(checks.vector("open_q", open_q, model.nq))
+        mass = checks.positive("object_mass", object_mass)
         spec = _read_spec(model)
         spec.option.timestep = TIMESTEP
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -141,7 +144,13 @@ class Scene:
         body = spec.worldbody.add_body(name="object", pos=centre)
         body.add_freejoint(name="object")
         add_object(
-            spec, body, object, width=width, mass=mass, friction=_friction(friction), mesh=object_mesh
+            spec,
+            body,
+            object,
+            width=width,
+            mass=mass,
+            friction=_friction(friction),
+            mesh=object_mesh,
         )
         add_sensors(spec, model.fingertip_bodies, others)
         return cls(
@@ -153,7 +162,7 @@ class Scene:
             gravity=gravity_vector(gravity),
             grasp_centre=centre,
             open_q=opened,
-            grip=_positive("grip", grip),
+            grip=checks.positive("grip", grip),
         )
 
     @property
@@ -219,7 +228,7 @@ def gravity_vector(gravity: str | ArrayLike) -> Floats:
         if gravity not in GRAVITY:
             raise UnknownName("gravity", gravity, [*GRAVITY, "a vector (x, y, z) in m/s^2"])
         return np.array(GRAVITY[gravity])
-    return _vector("gravity", gravity, 3)
+    return checks.vector("gravity", gravity, 3)
 
 
 def _compile(spec: mujoco.MjSpec, hand: HandModel) -> mujoco.MjModel:
@@ -277,20 +286,8 @@ def _friction(friction: float | ArrayLike) -> tuple[float, float, float]:
     values = np.atleast_1d(np.asarray(friction, float))
     if values.shape not in ((1,), (3,)) or not np.all(np.isfinite(values) & (values >= 0)):
         raise InvalidInput(
-            f"friction is {friction}; expected one number >= 0, or three (sliding, torsional, rolling)"
+            f"friction is {friction}; expected one number >= 0, or three (sliding, torsional, "
+            "rolling)"
         )
-    return tuple(values) if len(values) == 3 else (float(values[0]), 0.005, 0.0001)  # type: ignore
-
-
-def _positive(name: str, value: float) -> float:
-    number = float(value)
-    if not (np.isfinite(number) and number > 0):
-        raise InvalidInput(f"{name} is {value}; expected a finite number above 0")
-    return number
-
-
-def _vector(name: str, value: ArrayLike | None, length: int) -> Floats:
-    vector = np.asarray(value, float)
-    if vector.shape != (length,) or not np.isfinite(vector).all():
-        raise InvalidInput(f"{name} is {value}; expected {length} finite numbers")
-    return vector
+    sliding, torsional, rolling = values if len(values) == 3 else (values[0], 0.005, 0.0001)
+    return float(sliding), float(torsional), float(rolling)

@@ -137,7 +137,8 @@ class _HeldObject:
                 nearest, normal = distance, found
         if not np.isfinite(nearest):  # the ray passes through a gap between the parts
             raise SimulationError(
-                f"{self.scene.object!r}: no surface between its centre and {outward.round(3).tolist()}"
+                f"{self.scene.object!r}: no surface from its centre towards "
+                f"{outward.round(3).tolist()}"
             )
         return start - nearest * outward, normal
 
@@ -232,9 +233,7 @@ class _HeldObject:
             correction = np.clip(goal - felt, -0.5, 0.5)[:, None] * inward
             jacobian = self.hand.contact_jacobian(data.qpos[self.qpos_columns], spot)
             torque = np.einsum("mkd,mk->d", jacobian, correction)
-            q_target = np.clip(
-                q_target + 0.3 * torque / scene.stiffness, scene.lower, scene.upper
-            )
+            q_target = np.clip(q_target + 0.3 * torque / scene.stiffness, scene.lower, scene.upper)
         return q_target
 
     def _holding(self, q: Floats, points: Floats, press: Floats) -> Floats:
@@ -252,9 +251,7 @@ class _HeldObject:
         mujoco.mj_step(self.model, self.data)
 
 
-def _release(
-    scene: Scene, held: _HeldObject, q_target: Floats
-) -> tuple[SettledGrasp | None, str]:
+def _release(scene: Scene, held: _HeldObject, q_target: Floats) -> tuple[SettledGrasp | None, str]:
     """Free the object and let the grasp rest; None and the reason where it does not hold."""
     model, hand = scene.model, scene.hand
     data = mujoco.MjData(model)
@@ -283,8 +280,6 @@ def _release(
         return None, "it touches more of the hand than fingertips"
     yaw = 2 * float(np.arctan2(held.pose[6], held.pose[3]))
     return (
-        SettledGrasp(
-            data.qpos.copy(), data.qvel.copy(), q_target, data.sensordata.copy(), yaw
-        ),
+        SettledGrasp(data.qpos.copy(), data.qvel.copy(), q_target, data.sensordata.copy(), yaw),
         "",
     )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -13,38 +11,15 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.rotations import inverse, multiply, rotation_vector
+from dexctl.sim import checks
 from dexctl.sim.parameters import ParameterSet
+from dexctl.sim.physics_state import PhysicsLayout, SimulatorState
 from dexctl.sim.scene import Scene
-from dexctl.sim.tactile import Tactile, TouchReading, TouchSensors, blur
+from dexctl.sim.tactile import Tactile, TouchSensors, blur
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.streams import Streams, StreamsState
+from dexctl.streams import Streams
 
-_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL.value
-# An object this far from the hand, or faster, is a simulation gone wrong even where it is finite.
-_FARTHEST = 100.0  # [m]
-_FASTEST = 1000.0  # [m/s], [rad/s]
-
-
-@dataclass(frozen=True)
-class SimulatorState:
-    """Everything that decides the future of a `BatchSimulator`; arrays have N rows.
-
-    Physics is MuJoCo's full physics state. The solver's warm start is not part of it because each
-    control step starts without one, which is what makes replays bitwise.
-    """
-
-    physics: Floats
-    q_target: Floats
-    ctrl: Floats
-    history: Floats
-    touch: TouchReading
-    steps: np.ndarray
-    diverged: Bools
-    angular_velocity: Floats
-    start_position: Floats
-    streams: StreamsState
-    parameters: dict[str, Floats]
 
 
 class BatchSimulator:
@@ -94,23 +69,17 @@ class BatchSimulator:
         disturbance: float = 0.02,
         seed: ArrayLike = 0,
     ) -> None:
-        if num_envs is not None and not (isinstance(num_envs, (int, np.integer)) and num_envs > 0):
-            raise InvalidInput(f"num_envs is {num_envs!r}; expected a whole number above 0, or None")
-        if not (isinstance(substeps, (int, np.integer)) and substeps > 0):
-            raise InvalidInput(f"substeps is {substeps!r}; expected a whole number above 0")
-        if not (np.isfinite(control_period) and 0 < control_period):
-            raise InvalidInput(f"control_period is {control_period}; expected seconds above 0")
         if not (np.isfinite(disturbance) and disturbance >= 0):
             raise InvalidInput(f"disturbance is {disturbance}; expected radians >= 0")
         self.scene = scene
         self.hand = scene.hand
         self.num_envs = num_envs
-        self.control_period = float(control_period)
-        self.substeps = int(substeps)
+        self.control_period = checks.positive("control_period", control_period)
+        self.substeps = checks.count("substeps", substeps)
         self.disturbance = float(disturbance)
         self.tactile = tactile if tactile is not None else Tactile()
-        self.batch_shape = () if num_envs is None else (int(num_envs),)
-        self._count = 1 if num_envs is None else int(num_envs)
+        self._count = 1 if num_envs is None else checks.count("num_envs", num_envs)
+        self.batch_shape = () if num_envs is None else (self._count,)
         self._parameters = ParameterSet(scene, self._count, self.control_period / self.substeps)
         self._sensors = TouchSensors(scene.model, self.hand.n_fingers)
         self._start_pool(threads)
@@ -122,16 +91,22 @@ class BatchSimulator:
 
     def _start_pool(self, threads: int | None) -> None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        wanted = threads if threads is not None else min(cores or 1, self._count)
-        if not (isinstance(wanted, (int, np.integer)) and wanted > 0):
-            raise InvalidInput(f"threads is {threads!r}; expected a whole number above 0")
+        wanted = checks.count(
+            "threads", min(cores or 1, self._count) if threads is None else threads
+        )
         # one thread: no pool, the caller's thread steps
-        self._rollout = Rollout(nthread=int(wanted) if wanted > 1 else 0)
+        self._rollout: Rollout | None = Rollout(nthread=wanted if wanted > 1 else 0)
         self._data = [mujoco.MjData(self.scene.model) for _ in range(wanted)]
+
+    def _pool(self) -> Rollout:
+        if self._rollout is None:
+            raise SimulationError("the simulator is closed")
+        return self._rollout
 
     def _allocate(self) -> None:
         model, count = self.scene.model, self._count
-        size = mujoco.mj_stateSize(model, _FULL)
+        self._layout = PhysicsLayout(self.scene)
+        size = self._layout.size
         self._timestep = self.control_period / self.substeps
         self._physics = np.zeros((count, size))
         self._next = np.zeros((count, self.substeps, size))
@@ -147,11 +122,10 @@ class BatchSimulator:
         width = self._sensors.columns.stop - self._sensors.columns.start
         self._history = np.zeros((count, self._delay + 1, width))
         self._touch = self._sensors.read(self._history[:, 0], self.tactile.threshold)
-        qpos, qvel = 1, 1 + model.nq  # the full physics state starts with time, qpos, qvel
-        self._q_columns = qpos + self.scene.qpos_columns
-        self._position = slice(qpos + self.scene.object_qpos.start, qpos + self.scene.object_qpos.start + 3)
-        self._quaternion = slice(self._position.stop, self._position.stop + 4)
-        self._velocities = slice(qvel, qvel + model.nv)
+        settled = self.scene.settled
+        self._settled_physics = self._layout.state(settled.qpos, settled.qvel)
+        self._settled_ctrl = np.zeros(model.nu)
+        self._settled_ctrl[self.scene.actuators] = settled.q_target * self.scene.ctrl_per_radian
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Back to the settled grasp, with set-points disturbed.
@@ -168,12 +142,12 @@ class BatchSimulator:
         settled = self.scene.settled
         noise = self._streams.normal((self.hand.nq,), chosen)[chosen]
         rows = int(chosen.sum())
-        physics = self._physics_of(settled.qpos, settled.qvel)
+        touch = settled.sensordata[self._sensors.columns]
         self._place(
             chosen,
-            np.broadcast_to(physics, (rows, len(physics))),
+            np.broadcast_to(self._settled_physics, (rows, self._physics.shape[1])),
             settled.q_target + self.disturbance * noise,
-            np.broadcast_to(settled.sensordata[self._sensors.columns], (rows, self._history.shape[2])),
+            np.broadcast_to(touch, (rows, len(touch))),
         )
 
     def set_grasp(
@@ -187,13 +161,13 @@ class BatchSimulator:
         """Put environments into given grasps, at rest: a planned one, a state to be checked.
 
         Args:
-            q, q_target: ``(..., d)`` [rad].
+            q: joint positions ``(..., d)`` [rad].
+            q_target: set-points ``(..., d)`` [rad].
             object_position: ``(..., 3)`` [m].
             object_quaternion: wxyz, unit, ``(..., 4)``.
             mask: which environments; the arrays have one row for every environment all the same.
         """
         chosen, count, d = self._mask(mask), self._count, self.hand.nq
-        model = self.scene.model
         qpos = np.tile(self.scene.settled.qpos, (count, 1))
         qpos[:, self.scene.qpos_columns] = self._rows("q", q, d)
         quaternion = self._rows("object_quaternion", object_quaternion, 4)
@@ -203,8 +177,7 @@ class BatchSimulator:
         qpos[:, self.scene.object_qpos] = np.concatenate(
             [self._rows("object_position", object_position, 3), quaternion / norm], axis=1
         )
-        physics = np.zeros((count, self._physics.shape[1]))
-        physics[:, 1 : 1 + model.nq] = qpos
+        physics = self._layout.state(qpos)
         target = self._rows("q_target", q_target, d)
         sensordata = self._probe(physics, self._clip(target))
         self._place(chosen, physics[chosen], target[chosen], sensordata[chosen])
@@ -213,7 +186,7 @@ class BatchSimulator:
         """Contact readings ``(N, columns)`` in the states given: one physics step, thrown away."""
         ctrl = self._ctrl.copy()
         ctrl[:, self.scene.actuators] = q_target * self.scene.ctrl_per_radian
-        _, sensordata = self._rollout.rollout(
+        _, sensordata = self._pool().rollout(
             self._parameters.models, self._data, physics, ctrl[:, None]
         )
         return sensordata[:, 0, self._sensors.columns]
@@ -225,7 +198,7 @@ class BatchSimulator:
         self._steps[chosen] = 0
         self._diverged[chosen] = False
         self._angular_velocity[chosen] = 0.0
-        self._start_position[chosen] = self._physics[chosen, self._position]
+        self._start_position[chosen] = self._physics[chosen, self._layout.position]
         self._history[chosen] = touch[:, None]
         self._feel(chosen)
 
@@ -233,15 +206,15 @@ class BatchSimulator:
         """The state now: joints, set-points, touch and the object's pose (all copies)."""
         touch, batch = self._touch, self.batch_shape
         state = GraspState(
-            q=self._physics[:, self._q_columns],
+            q=self._physics[:, self._layout.q],
             q_target=self._q_target.copy(),
             in_contact=touch.in_contact,
             contact_position=touch.position,
             contact_normal=touch.normal,
             contact_force=touch.force,
-            object_position=self._physics[:, self._position].copy(),
-            object_quaternion=self._physics[:, self._quaternion].copy(),
-            time=self._steps * self.control_period,
+            object_position=self._physics[:, self._layout.position].copy(),
+            object_quaternion=self._physics[:, self._layout.quaternion].copy(),
+            time=self._clock(),
             age=np.full(self._count, self._timestep * (1 + self._delay)),
         )
         return state if batch else state[0]
@@ -258,42 +231,36 @@ class BatchSimulator:
 
     def step(self) -> None:
         """Let one control period pass in every environment."""
-        if self._rollout is None:
-            raise SimulationError("the simulator is closed")
         self._ctrl_steps[:] = self._ctrl[:, None]
-        self._rollout.rollout(
+        start = self._physics
+        if self._diverged.any():  # step something harmless in their place
+            start = np.where(self._diverged[:, None], self._settled_physics, start)
+            self._ctrl_steps[self._diverged] = self._settled_ctrl
+        self._pool().rollout(
             self._parameters.models,
             self._data,
             control_spec=_CTRL,
             skip_checks=True,
             nstep=self.substeps,
-            initial_state=self._physics,
+            initial_state=start,
             control=self._ctrl_steps,
             state=self._next,
             sensordata=self._sensordata,
         )
         after = self._next[:, -1]
-        bad = self._broken(after) | self._diverged
+        expected = self._physics[:, 0] + self.control_period
+        bad = self._layout.broken(after, expected, self._timestep) | self._diverged
         if bad.any():
             after[bad] = self._physics[bad]
             self._sensordata[bad] = 0.0
             self._diverged |= bad
-        turn = multiply(after[:, self._quaternion], inverse(self._physics[:, self._quaternion]))
+        before = self._physics[:, self._layout.quaternion]
+        turn = multiply(after[:, self._layout.quaternion], inverse(before))
         self._angular_velocity = rotation_vector(turn) / self.control_period
         self._physics[:] = after
         self._steps += ~bad
         self._remember()
         self._feel(None)
-
-    def _broken(self, after: Floats) -> Bools:
-        """Where a step ended in something that is not a simulation any more, ``(N,)``."""
-        expected = self._physics[:, 0] + self.control_period
-        late = np.abs(after[:, 0] - expected) > 0.5 * self._timestep
-        # comparisons with NaN are False, so state what is good
-        near = (np.abs(after[:, self._position]) < _FARTHEST).all(axis=1)
-        slow = (np.abs(after[:, self._velocities]) < _FASTEST).all(axis=1)
-        finite = np.isfinite(after.sum(axis=1))
-        return late | ~(near & slow & finite)
 
     def _remember(self) -> None:
         """Keep the sensor data that the delay still needs, newest last."""
@@ -310,12 +277,7 @@ class BatchSimulator:
         if self.tactile.noisy:
             reading = blur(reading, self.tactile, self._streams, chosen)
         if chosen is not None and not chosen.all():
-            reading = TouchReading(
-                *(
-                    np.where(chosen.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
-                    for new, old in zip(reading, self._touch, strict=True)
-                )
-            )
+            reading = self._touch.replaced(chosen, reading)
         self._touch = reading
 
     def set_parameters(self, **parameters: ArrayLike) -> None:
@@ -344,7 +306,7 @@ class BatchSimulator:
             q_target=self._q_target.copy(),
             ctrl=self._ctrl.copy(),
             history=self._history.copy(),
-            touch=TouchReading(*(part.copy() for part in self._touch)),
+            touch=self._touch.copy(),
             steps=self._steps.copy(),
             diverged=self._diverged.copy(),
             angular_velocity=self._angular_velocity.copy(),
@@ -369,7 +331,7 @@ class BatchSimulator:
         self._q_target = saved.q_target.copy()
         self._ctrl = saved.ctrl.copy()
         self._history = saved.history.copy()
-        self._touch = TouchReading(*(part.copy() for part in saved.touch))
+        self._touch = saved.touch.copy()
         self._steps = saved.steps.copy()
         self._diverged = saved.diverged.copy()
         self._angular_velocity = saved.angular_velocity.copy()
@@ -380,7 +342,7 @@ class BatchSimulator:
     @property
     def time(self) -> Floats:
         """Simulated time since the last reset, ``(...)`` [s]."""
-        return self._out(self._steps * self.control_period)
+        return self._out(self._clock())
 
     @property
     def diverged(self) -> Bools:
@@ -401,7 +363,7 @@ class BatchSimulator:
     @property
     def qpos(self) -> Floats:
         """MuJoCo's generalised positions ``(..., nq)``, for drawing."""
-        return self._out(self._physics[:, 1 : 1 + self.scene.model.nq].copy())
+        return self._out(self._physics[:, self._layout.qpos].copy())
 
     def close(self) -> None:
         """Stop the threads; the simulator cannot be stepped any more."""
@@ -415,34 +377,17 @@ class BatchSimulator:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _physics_of(self, qpos: Floats, qvel: Floats) -> Floats:
-        physics = np.zeros(self._physics.shape[1])
-        physics[1 : 1 + len(qpos)] = qpos
-        physics[self._velocities] = qvel
-        return physics
+    def _clock(self) -> Floats:
+        return np.asarray(self._steps * self.control_period, float)
 
     def _clip(self, q_target: Floats) -> Floats:
         return np.minimum(np.maximum(q_target, self.scene.lower), self.scene.upper)
 
     def _rows(self, name: str, value: ArrayLike, width: int) -> Floats:
-        rows = np.asarray(value, float)
-        expected = (*self.batch_shape, width)
-        if rows.shape != expected:
-            raise InvalidInput(f"{name} has shape {rows.shape}; expected {expected}")
-        if not np.isfinite(rows).all():
-            where = np.argwhere(~np.isfinite(rows))[0].tolist()
-            raise InvalidInput(f"{name} is {rows[tuple(where)]} at {where}; expected finite numbers")
-        return rows.reshape(self._count, width)
+        return checks.rows(name, value, (*self.batch_shape, width)).reshape(self._count, width)
 
     def _mask(self, mask: ArrayLike | None) -> Bools:
-        if mask is None:
-            return np.ones(self._count, bool)
-        chosen = np.asarray(mask)
-        if chosen.dtype != bool or chosen.shape != self.batch_shape:
-            raise InvalidInput(
-                f"mask has shape {chosen.shape} and type {chosen.dtype}; expected {self.batch_shape} bool"
-            )
-        return chosen.reshape(self._count)
+        return checks.mask(mask, self.batch_shape).reshape(self._count)
 
-    def _out(self, rows):
+    def _out(self, rows: np.ndarray) -> np.ndarray:
         return rows if self.batch_shape else rows[0]

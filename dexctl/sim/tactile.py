@@ -69,6 +69,27 @@ class TouchReading(NamedTuple):
     force: Floats
     other_contact: Floats
 
+    def copy(self) -> TouchReading:
+        """The same numbers in arrays of their own."""
+        return TouchReading(
+            self.in_contact.copy(),
+            self.position.copy(),
+            self.normal.copy(),
+            self.force.copy(),
+            self.other_contact.copy(),
+        )
+
+    def replaced(self, mask: Bools, new: TouchReading) -> TouchReading:
+        """This reading with the environments in ``mask`` ``(N,)`` taken from ``new``."""
+        fingers, vectors = mask[:, None], mask[:, None, None]
+        return TouchReading(
+            np.where(fingers, new.in_contact, self.in_contact),
+            np.where(vectors, new.position, self.position),
+            np.where(vectors, new.normal, self.normal),
+            np.where(fingers, new.force, self.force),
+            np.where(mask, new.other_contact, self.other_contact),
+        )
+
 
 def add_sensors(spec: mujoco.MjSpec, fingertips: tuple[str, ...], others: tuple[str, ...]) -> None:
     """Add a contact sensor from each body named to the body "object".

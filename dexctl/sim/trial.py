@@ -11,16 +11,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
 from dexctl.rotations import inverse, multiply
+from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.simulator import BatchSimulator
 from dexctl.state import Bools, Floats, GraspState
 
 DROP_DISTANCE = 0.05
+Simulator = BatchSimulator | GroupedSimulator
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +83,10 @@ class Trace:
 
 def run(
     controller: Controller,
-    sim: BatchSimulator,
+    sim: Simulator,
     seconds: float,
     *,
-    record: Callable[[BatchSimulator], None] | None = None,
+    record: Callable[[Any], None] | None = None,
     drop_distance: float = DROP_DISTANCE,
     progress: Callable[[float], None] | None = None,
 ) -> Trace:
@@ -92,6 +95,9 @@ def run(
     Reset both first for a trial: ``sim.reset(seed); controller.reset(seed)``.
 
     Args:
+        controller: of the simulator's hand.
+        sim: a `BatchSimulator` or a `GroupedSimulator`.
+        seconds: of simulated time, rounded to control periods [s].
         record: called with the simulator at the start and after each step (a `Recorder`).
         drop_distance: how far the object's centre may go from where it is at the start [m].
         progress: called after each step with the simulated time so far [s].
@@ -134,7 +140,7 @@ def run(
 
 
 def _trace(
-    sim: BatchSimulator,
+    sim: Simulator,
     states: list[GraspState],
     other: list[Floats],
     diverged: list[Bools],
@@ -149,7 +155,7 @@ def _trace(
     held = np.logical_and.accumulate((away <= drop_distance) & ~broken, axis=0)
     names = [name for name in found[0] if all(name in row for row in found)]
     return Trace(
-        time=np.arange(len(states)) * sim.control_period,
+        time=np.arange(len(states), dtype=float) * float(sim.control_period),
         q=np.array([state.q for state in states]),
         q_target=np.array([state.q_target for state in states]),
         in_contact=np.array([state.in_contact for state in states]),

@@ -1,0 +1,55 @@
+"""Checks of what simulators are given; each answers with the value met and the ones expected."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput
+from dexctl.state import Bools, Floats
+
+
+def count(name: str, value: object) -> int:
+    """A whole number above 0."""
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < 1:
+        raise InvalidInput(f"{name} is {value!r}; expected a whole number above 0")
+    return int(value)
+
+
+def positive(name: str, value: float) -> float:
+    """A finite number above 0."""
+    number = float(value)
+    if not (np.isfinite(number) and number > 0):
+        raise InvalidInput(f"{name} is {value}; expected a finite number above 0")
+    return number
+
+
+def vector(name: str, value: ArrayLike | None, length: int) -> Floats:
+    """``(length,)`` finite numbers."""
+    numbers = np.asarray(value, float)
+    if numbers.shape != (length,) or not np.isfinite(numbers).all():
+        raise InvalidInput(f"{name} is {value}; expected {length} finite numbers")
+    return numbers
+
+
+def rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """Finite numbers of the shape given."""
+    numbers = np.asarray(value, float)
+    if numbers.shape != shape:
+        raise InvalidInput(f"{name} has shape {numbers.shape}; expected {shape}")
+    if not np.isfinite(numbers).all():
+        where = np.argwhere(~np.isfinite(numbers))[0].tolist()
+        raise InvalidInput(f"{name} is {numbers[tuple(where)]} at {where}; expected finite numbers")
+    return numbers
+
+
+def mask(value: ArrayLike | None, shape: tuple[int, ...]) -> Bools:
+    """Booleans of the batch shape; None is all True."""
+    if value is None:
+        return np.ones(shape, bool)
+    chosen = np.asarray(value)
+    if chosen.dtype != bool or chosen.shape != shape:
+        raise InvalidInput(
+            f"mask has shape {chosen.shape} and type {chosen.dtype}; expected {shape} of bool"
+        )
+    return chosen

@@ -1,0 +1,80 @@
+"""Where things lie in MuJoCo's full physics state, and what else decides a simulator's future."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from dexctl.sim.scene import Scene
+from dexctl.sim.tactile import TouchReading
+from dexctl.state import Bools, Floats
+from dexctl.streams import StreamsState
+
+FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+# An object this far from the hand, or faster, is a simulation gone wrong even where it is finite.
+_FARTHEST = 100.0  # [m]
+_FASTEST = 1000.0  # [m/s], [rad/s]
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatorState:
+    """Everything that decides the future of a `BatchSimulator`; arrays have N rows.
+
+    ``physics`` is MuJoCo's full physics state. The solver's warm start is not part of it because
+    each control step starts without one, which is what makes replays bitwise.
+    """
+
+    physics: Floats
+    q_target: Floats
+    ctrl: Floats
+    history: Floats
+    touch: TouchReading
+    steps: np.ndarray
+    diverged: Bools
+    angular_velocity: Floats
+    start_position: Floats
+    streams: StreamsState
+    parameters: dict[str, Floats]
+
+
+class PhysicsLayout:
+    """The columns of the full physics state (time, qpos, qvel, ...) of one scene.
+
+    Attributes:
+        size: number of columns.
+        q: the hand's joints, ``(d,)``.
+        qpos, qvel: MuJoCo's generalised positions and velocities.
+        position, quaternion: the object's pose.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        model = scene.model
+        self.size = mujoco.mj_stateSize(model, FULL_PHYSICS)
+        self.qpos = slice(1, 1 + model.nq)
+        self.qvel = slice(1 + model.nq, 1 + model.nq + model.nv)
+        self.q = 1 + scene.qpos_columns
+        pose = 1 + scene.object_qpos.start
+        self.position = slice(pose, pose + 3)
+        self.quaternion = slice(pose + 3, pose + 7)
+
+    def state(self, qpos: Floats, qvel: Floats | None = None) -> Floats:
+        """Full physics states ``(..., size)`` at time 0, at rest without ``qvel``."""
+        physics = np.zeros((*qpos.shape[:-1], self.size))
+        physics[..., self.qpos] = qpos
+        if qvel is not None:
+            physics[..., self.qvel] = qvel
+        return physics
+
+    def broken(self, after: Floats, expected_time: Floats, timestep: float) -> Bools:
+        """Where a step ended in something that is not a simulation any more, ``(N,)``.
+
+        MuJoCo resets a diverged simulation and goes on: its time has fallen back.
+        """
+        late = np.abs(after[:, 0] - expected_time) > 0.5 * timestep
+        # comparisons with NaN are False, so state what is good
+        near = (np.abs(after[:, self.position]) < _FARTHEST).all(axis=1)
+        slow = (np.abs(after[:, self.qvel]) < _FASTEST).all(axis=1)
+        finite = np.isfinite(after.sum(axis=1))
+        return late | ~(near & slow & finite)
