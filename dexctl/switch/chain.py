@@ -92,3 +92,13 @@ def joint_roles(hand: HandModel) -> JointRoles:
             )
     roll, middle, distal = np.array([[c[0], c[-2], c[-1]] for c in chains]).T
     return JointRoles(roll, middle, distal)
+
+
+def spread(count: int, dimensions: int) -> Floats:
+    """``count`` points ``(count, dimensions)`` spread evenly over the unit cube, centre first.
+
+    A Kronecker sequence on the relatives of the golden ratio: no chance in it.
+    """
+    ratio = np.roots([1.0, *([0.0] * (dimensions - 1)), -1.0, -1.0]).real.max()
+    stride = ratio ** -np.arange(1.0, dimensions + 1)
+    return (0.5 + np.arange(count)[:, None] * stride) % 1.0

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import HandModelError, InvalidInput
 from dexctl.hand import HandModel
 from dexctl.state import Floats
-from dexctl.switch.chain import Indices, check_finger, check_vector, own_joints
+from dexctl.switch.chain import Indices, check_finger, check_vector, own_joints, spread
 
 _ITERATIONS_PER_START = 25
 _DAMPING = 1e-8  # m^2/rad^2: keeps steps finite where the finger is straight
@@ -70,6 +70,9 @@ class FingerIK:
         self._address = self._model.jnt_qposadr[self._joint]
         self._couplings = _couplings(self._model, mujoco)
         self._problems: dict[int, _Problem] = {}
+
+    def __reduce__(self) -> tuple:
+        return type(self), (self.hand,)  # the compiled model is rebuilt, not pickled
 
     def solve(
         self,
@@ -166,11 +169,8 @@ class _Problem:
         q = q.copy()
         if number == 0:
             q[self._own] = np.clip(q[self._own], lower, upper)
-        else:  # a Kronecker sequence on the golden ratio's relatives: evenly spread, no chance
-            k = len(self._own)
-            ratio = np.roots([1.0, *([0.0] * (k - 1)), -1.0, -1.0]).real.max()
-            spread = (0.5 + (number - 1) * ratio ** -np.arange(1.0, k + 1)) % 1.0
-            q[self._own] = lower + (upper - lower) * spread
+        else:
+            q[self._own] = lower + (upper - lower) * spread(number, len(self._own))[-1]
         return q
 
     def descend(

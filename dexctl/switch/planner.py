@@ -6,7 +6,7 @@ This is casadi's door into the switch room.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel, random_configurations
 from dexctl.state import Floats
+from dexctl.switch import swing_guess
 from dexctl.switch.chain import Indices, check_finger, check_vector, own_joints
 from dexctl.switch.swing_problem import Surface, SwingProblem, SwingShape
 
@@ -93,7 +94,7 @@ class SwingPlanner:
         max_iterations: of the solver.
 
     Raises:
-        InvalidInput: a value out of range, or a hand with joints that follow others.
+        InvalidInput: a value out of range, or a finger with joints that follow others.
     """
 
     def __init__(
@@ -128,14 +129,16 @@ class SwingPlanner:
             if not (np.isfinite(value) and value > 0):
                 raise InvalidInput(f"{name} is {value}; expected a finite number above 0")
         if pretouch >= clearance:
-            raise InvalidInput(f"pretouch is {pretouch} m; expected less than clearance, {clearance} m")
+            raise InvalidInput(
+                f"pretouch is {pretouch} m; expected less than clearance, {clearance}"
+            )
         shortest, longest = check_vector("duration", duration, 2)
         if not 0 < shortest <= longest:
             raise InvalidInput(f"duration is {duration}; expected 0 < shortest <= longest [s]")
         speed = np.asarray(speed_limit, float)
         if speed.shape not in ((), (hand.nq,)) or not (speed > 0).all():
             raise InvalidInput(
-                f"speed_limit is {speed.tolist()}; expected one number or {hand.nq}, above 0 [rad/s]"
+                f"speed_limit is {speed.tolist()}; expected one number or {hand.nq}, above 0"
             )
         self.hand = hand
         self.shape = SwingShape(
@@ -150,12 +153,10 @@ class SwingPlanner:
         self.max_iterations = max_iterations
         self._periods = (shortest / (knots - 1), longest / (knots - 1))
         self._joints = [own_joints(hand, finger) for finger in range(hand.n_fingers)]
-        for name, joints in zip(hand.fingertip_names, self._joints, strict=True):
-            if not len(joints):
-                raise InvalidInput(f"finger {name!r} has no joint of its own to plan for")
         self._problems: dict[int, SwingProblem] = {}
         for finger in range(hand.n_fingers):
-            self._check_chain(finger)
+            if len(self._joints[finger]):
+                self._check_chain(finger)
 
     def __reduce__(self) -> tuple:
         return partial(type(self), self.hand, **self._arguments), ()  # solvers are not pickled
@@ -194,50 +195,72 @@ class SwingPlanner:
         """
         started = time.perf_counter()
         finger = check_finger(self.hand, finger)
+        if not len(self._joints[finger]):
+            raise InvalidInput(
+                f"finger {self.hand.fingertip_names[finger]!r} has no joint of its own: all move "
+                "other fingertips too"
+            )
         q = check_vector("q", q, self.hand.nq)
         lift = _surface("lift", lift_position, lift_normal)
         landing = _surface("landing", landing_position, landing_normal)
-        now = self.hand.configuration(q)
-        tip = now.fingertip_position[finger]
+        tip = self.hand.fingertip_positions(q)[finger]
         radius = max(float(lift.gap(tip, 0.0)), 0.0) if tip_radius is None else float(tip_radius)
         if not (np.isfinite(radius) and radius >= 0):
             raise InvalidInput(f"tip_radius is {radius}; expected metres, not negative")
 
-        joints = self._joints[finger]
+        joints, shape = self._joints[finger], self.shape
+        goal = landing.point - landing.normal * (radius + shape.pretouch)
+        path = swing_guess.around(
+            shape, shape.clearance + 2 * _MARGIN, tip, lift, landing, goal, radius
+        )
+        guess = swing_guess.follow(self.hand, q, finger, joints, path)
+        question = (q, finger, lift, landing, radius)
+        best = self._solve(guess, *question)
+        if not best.feasible:
+            # the guess may have run into a joint limit on its way: try one that did not
+            guess = swing_guess.straight_to(self.hand, q, finger, joints, goal, shape.knots - 1)
+            if guess is not None:
+                plans = best, self._solve(guess, *question)
+                best = min(plans, key=lambda plan: sum(plan.violations.values()))
+        return replace(best, solve_time=time.perf_counter() - started)
+
+    def _solve(
+        self, guess: Floats, q: Floats, finger: int, lift: Surface, landing: Surface, radius: float
+    ) -> SwingPlan:
+        """Solve the program from one guess, ``(K - 1, k)`` [rad], and check what comes out."""
+        joints, steps = self._joints[finger], self.shape.knots - 1
+        now = self.hand.configuration(q)
+        lower, upper = self.hand.lower[joints], self.hand.upper[joints]
         speed = np.broadcast_to(self.speed_limit, self.hand.nq)[joints]
-        waypoints = self._waypoints(tip, lift, landing, radius)
-        guess = self._follow(q, finger, waypoints) - q[joints]
-        fastest = np.abs(np.diff(guess, axis=0, prepend=0.0) / speed).max()
+        fastest = np.abs(np.diff(guess, axis=0, prepend=q[None, joints]) / speed).max()
         change, period, iterations = self._problem(len(joints)).solve(
-            guess,
+            guess - q[joints],
             float(np.clip(2.0 * fastest, *self._periods)),
             screws=now.joint_twist[:, joints],
-            tip=tip,
+            tip=now.fingertip_position[finger],
             lift=lift,
             landing=landing,
             radius=radius,
             speed=speed,
-            lower=self.hand.lower[joints] - q[joints],
-            upper=self.hand.upper[joints] - q[joints],
+            lower=lower - q[joints],
+            upper=upper - q[joints],
             periods=self._periods,
         )
         if not (np.isfinite(change).all() and np.isfinite(period)):
-            change, period = guess, self._periods[1]
-        reached = np.clip(q[joints] + change, self.hand.lower[joints], self.hand.upper[joints])
-        knots = np.concatenate([q[None, joints], reached])
-        full = np.tile(q, (len(knots), 1))
-        full[:, joints] = knots
-        violations = self._violations(full, finger, period, lift, landing, radius)
+            change, period = guess - q[joints], self._periods[1]
+        knots = np.tile(q, (steps + 1, 1))
+        knots[1:, joints] = np.clip(q[joints] + change, lower, upper)
+        violations = self._violations(knots, finger, period, lift, landing, radius)
         return SwingPlan(
             finger=finger,
             joints=joints,
-            time=period * np.arange(len(knots)),
-            q=knots,
-            tip=self.hand.fingertip_positions(full)[:, finger],
+            time=period * np.arange(float(steps + 1)),
+            q=knots[:, joints],
+            tip=self.hand.fingertip_positions(knots)[:, finger],
             feasible=not violations,
             violations=violations,
             iterations=iterations,
-            solve_time=time.perf_counter() - started,
+            solve_time=0.0,
         )
 
     def _problem(self, joints: int) -> SwingProblem:
@@ -262,37 +285,6 @@ class SwingPlanner:
                     f"finger {self.hand.fingertip_names[finger]!r} of {self.hand.path} has joints "
                     "that follow others; SwingPlanner needs fingers without"
                 )
-
-    def _waypoints(self, tip: Floats, lift: Surface, landing: Surface, radius: float) -> Floats:
-        """A rough path of the fingertip that keeps to the rules, ``(K - 1, 3)`` [m]."""
-        shape, clear = self.shape, self.shape.clearance + 2 * _MARGIN
-        up = tip - lift.normal * max(clear - float(lift.gap(tip, radius)), 0.0)
-        goal = landing.point - landing.normal * (radius + shape.pretouch)
-        above = landing.point - landing.normal * (radius + clear)
-        corner = 0.5 * (up + above)
-        for _ in range(20):  # alternating projections on the two planes' free sides
-            for surface in (lift, landing):
-                corner = corner - surface.normal * max(clear - float(surface.gap(corner, radius)), 0)
-        stations = [0, shape.lifted, shape.turned, shape.approached, shape.knots - 1]
-        places = np.array([tip, up, corner, above, goal])
-        knots = np.arange(1, shape.knots)
-        return np.stack([np.interp(knots, stations, line) for line in places.T], axis=-1)
-
-    def _follow(self, q: Floats, finger: int, waypoints: Floats) -> Floats:
-        """Joint positions ``(K - 1, k)`` whose fingertip is near the waypoints; a guess only."""
-        joints = self._joints[finger]
-        q, path = q.copy(), []
-        for waypoint in waypoints:
-            for _ in range(2):
-                now = self.hand.configuration(q)
-                tip = now.fingertip_position[finger]
-                twist = now.joint_twist[:, joints]
-                jacobian = twist[:3] + np.cross(twist[3:], tip, axisa=0).T
-                damped = jacobian @ jacobian.T + 1e-5 * np.eye(3)
-                q[joints] += jacobian.T @ np.linalg.solve(damped, waypoint - tip)
-                q = self.hand.clip(q)
-            path.append(q[joints])
-        return np.array(path)
 
     def _violations(
         self,
