@@ -180,6 +180,11 @@ class GroupedSimulator:
         """The object's centre after the last reset, ``(N, 3)`` [m]."""
         return self._gather(lambda group: group.start_position)
 
+    @property
+    def qpos(self) -> Floats:
+        """MuJoCo's generalised positions ``(N, nq)``, for drawing."""
+        return self._gather(lambda group: group.qpos)
+
     def close(self) -> None:
         """Stop the threads of all groups."""
         for group in self.groups:
