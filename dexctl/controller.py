@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
-from dexctl.state import Bools, Floats, GraspState
+from dexctl.state import Floats, GraspState
 
 
 class Controller(ABC):
@@ -85,12 +85,25 @@ class Superposition(Controller):
 
 
 def check_state(hand: HandModel, state: GraspState) -> None:
-    """Raise InvalidInput where ``state`` is not of this hand, or not finite.
+    """Raise InvalidInput where ``state`` is of a hand with other numbers of joints or fingers.
 
-    Rows of fingers out of contact may hold anything.
+    Whether its numbers are finite shows in the action: `check_action`.
     """
     if state.q.shape[-1] != hand.nq or state.in_contact.shape[-1] != hand.n_fingers:
         raise InvalidInput(
             f"state has {state.q.shape[-1]} joints and {state.in_contact.shape[-1]} fingers; "
             f"the hand has {hand.nq} joints and {hand.n_fingers} fingers"
         )
+
+
+def check_action(action: Floats) -> Floats:
+    """``action`` if it is finite.
+
+    Raises:
+        InvalidInput: it is not, because the state was not; names the environments.
+    """
+    if not np.isfinite(action).all():
+        bad = np.flatnonzero(~np.isfinite(action).all(axis=-1))
+        where = f" in environments {bad[:8].tolist()}" if action.ndim > 1 else ""
+        raise InvalidInput(f"the state is not finite{where}: NaN or infinity in q, touch or pose")
+    return action
