@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -74,7 +75,7 @@ class Offscreen:
         # read when PyOpenGL is first imported, which mujoco.egl and mujoco.osmesa do
         os.environ.setdefault("PYOPENGL_PLATFORM", backend)
         try:
-            self._gl = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+            self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         except (ImportError, RuntimeError, AttributeError) as error:
             raise SimulationError(f"no OpenGL to draw with ({backend}: {error}); {_HOW}") from None
         self._gl.make_current()
@@ -87,6 +88,8 @@ class Offscreen:
 
     def draw(self, captions: tuple[str, str] = ("", "")) -> NDArray[np.uint8]:
         """The picture of ``scene`` ``(height, width, 3)``, with captions at its top left."""
+        if self._gl is None:
+            raise SimulationError("the drawing context is closed")
         self._gl.make_current()
         mujoco.mjr_render(self._viewport, self.scene, self._context)
         if any(captions):

@@ -71,9 +71,9 @@ class Scene:
         self.open_q = open_q
         self.grip = grip
         self._spec = spec
-        spec.compiler.discardvisual = True
-        self.model = _compile(spec, hand)
-        spec.compiler.discardvisual = False
+        lean = spec.copy()  # compiling removes what is discarded from the spec itself
+        lean.compiler.discardvisual = True
+        self.model = _compile(lean, hand)
         self._find_joints()
         self._find_servos()
 

@@ -16,7 +16,9 @@ from dexctl.sim.visuals import visual_model
 
 
 class Viewer:
-    """A window that shows one environment, no faster than real time; give it to `run` as ``record``.
+    """A window that shows one environment, no faster than real time.
+
+    Give it to `run` as ``record``.
 
     Closing the window does not end the run: it goes on unseen, at full speed.
 

@@ -27,10 +27,10 @@ def visual_model(scene: Scene) -> mujoco.MjModel:
     up = up_direction(scene)
     centre, extent = _bounds(scene)
     frame = _frame(up)
-    spec.visual.headlight.ambient = [0.32, 0.32, 0.34]
+    spec.visual.headlight.ambient = [0.38, 0.38, 0.40]
     spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     spec.visual.headlight.specular = [0.05, 0.05, 0.05]
-    spec.visual.quality.shadowsize = 2048
+    spec.visual.quality.shadowsize = 1024
     spec.visual.quality.offsamples = 4
     getattr(spec.visual, "global").offwidth = 1920
     getattr(spec.visual, "global").offheight = 1440
@@ -61,6 +61,7 @@ def visual_model(scene: Scene) -> mujoco.MjModel:
         )
     for geom in spec.body("object").geoms:
         geom.material = "object"
+        geom.rgba = [1.0, 1.0, 1.0, 1.0]  # it tints the material
     _add_camera(world, centre, extent, frame)
     return spec.compile()
 
@@ -95,8 +96,8 @@ def _textures(spec: mujoco.MjSpec) -> None:
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.97],
-        rgb2=[0.62, 0.70, 0.78],
+        rgb1=[0.80, 0.85, 0.90],
+        rgb2=[0.50, 0.60, 0.70],
         width=256,
         height=1536,
     )
@@ -104,8 +105,8 @@ def _textures(spec: mujoco.MjSpec) -> None:
         name="floor",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.86, 0.88, 0.90],
-        rgb2=[0.78, 0.81, 0.84],
+        rgb1=[0.58, 0.61, 0.65],
+        rgb2=[0.51, 0.54, 0.58],
         width=512,
         height=512,
     )
@@ -115,14 +116,14 @@ def _textures(spec: mujoco.MjSpec) -> None:
         type=mujoco.mjtTexture.mjTEXTURE_CUBE,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.17, 0.45, 0.70],
-        rgb2=[0.36, 0.66, 0.86],
-        markrgb=[0.95, 0.97, 1.0],
+        rgb1=[0.13, 0.42, 0.62],
+        rgb2=[0.93, 0.86, 0.66],
+        markrgb=[0.10, 0.20, 0.30],
         width=256,
         height=256,
     )
     for name, repeat, reflectance, specular in (
-        ("floor", 6.0, 0.08, 0.1),
+        ("floor", 6.0, 0.0, 0.1),
         ("object", 1.0, 0.0, 0.4),
     ):
         material = spec.add_material(
@@ -134,7 +135,7 @@ def _textures(spec: mujoco.MjSpec) -> None:
 
 
 def _add_camera(world: mujoco.MjsBody, centre: Floats, extent: float, frame: Floats) -> None:
-    distance = 0.62 * extent / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
+    distance = 0.5 * extent / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
     away = np.array(
         [
             np.cos(_ELEVATION) * np.cos(_AZIMUTH),
