@@ -79,7 +79,8 @@ class SwingPlanner:
     (squared, over time) plus ``time_weight`` times duration. The plan is then checked against
     HandModel's kinematics at the knots and between them, so ``feasible`` does not rest on the
     solver's word. The solver is capped by iterations, not by time: the same question has the same
-    answer on every machine.
+    answer however busy the machine is. Where it fails, it gets a second guess. Other fingers and
+    the finger's own links are not looked at.
 
     Args:
         hand: the hand; joints that follow others are not supported.
