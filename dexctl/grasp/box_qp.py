@@ -40,7 +40,8 @@ def solve_box(
     """One box QP in plain Python floats, from its unconstrained solution.
 
     Args:
-        table: H^-1, k rows of k; y: H^-1 b. Both are overwritten.
+        table: H^-1, k rows of k; overwritten.
+        y: H^-1 b; overwritten.
         lower: k lower bounds.
         upper: k upper bounds.
         roof: a problem whose objective is sure to rise above this is left unsolved.

@@ -48,8 +48,10 @@ def check_contacts(
     """The contacts relative to ``origin``, rows out of contact zeroed.
 
     Args:
-        contact_position: ``(..., m, 3)`` [m]; contact_normal: ``(..., m, 3)``;
-        in_contact: ``(..., m)`` bool; origin: ``(..., 3)`` [m] or one ``(3,)`` for all.
+        contact_position: ``(..., m, 3)`` [m].
+        contact_normal: ``(..., m, 3)``, unit.
+        in_contact: ``(..., m)`` bool.
+        origin: ``(..., 3)`` [m] or one ``(3,)`` for all.
 
     Raises:
         InvalidInput: shapes that do not belong together; numbers of a finger in contact that
@@ -126,19 +128,13 @@ def grasp_map(
         raise UnknownName("contact model", model, CONTACT_MODELS)
     position = _rows(contact_position, "contact_position")
     batch, m = position.shape[:-2], position.shape[-2]
-    if normal is None:
-        if model != "hard":
-            raise InvalidInput(f"normal is None; the contact model {model!r} needs the normals")
-        normal, checked = np.broadcast_to([0.0, 0.0, 1.0], position.shape), False
-    else:
-        checked = model != "hard"
-    active = np.ones((*batch, m), bool) if in_contact is None else in_contact
-    r, n, active = check_contacts(
-        position,
-        normal if checked else np.broadcast_to([0.0, 0.0, 1.0], position.shape),
-        active,
-        origin,
-    )
+    if model == "hard":  # a hard finger's map does not depend on the normal
+        normal = np.broadcast_to([0.0, 0.0, 1.0], position.shape)
+    elif normal is None:
+        raise InvalidInput(f"normal is None; the contact model {model!r} needs the normals")
+    if in_contact is None:
+        in_contact = np.ones((*batch, m), bool)
+    r, n, active = check_contacts(position, normal, in_contact, origin)
     if model == "frictionless":
         return np.swapaxes(np.concatenate([n, np.cross(r, n)], axis=-1), -1, -2)
     columns = CONTACT_MODELS[model]
@@ -163,17 +159,17 @@ def hand_jacobian(
     """The hand Jacobian J_S, stacked: contact velocities v = J dq, ``(..., 3m, d)``.
 
     Args:
-        hand: the hand; q: ``(..., d)`` [rad]; contact_position: ``(..., m, 3)`` [m], world frame.
+        hand: the hand.
+        q: ``(..., d)`` [rad].
+        contact_position: ``(..., m, 3)`` [m], world frame.
         in_contact: ``(..., m)`` bool; None: all. Rows of the others are zero, and their
             positions are not read.
     """
     position = _rows(contact_position, "contact_position")
-    if in_contact is not None:
-        active = check_mask(in_contact, position.shape[:-1])[..., None]
-        position = np.where(active, position, 0.0)
-    jacobian = hand.contact_jacobian(q, position)
-    if in_contact is not None:
-        jacobian = jacobian * active[..., None]
+    if in_contact is None:
+        in_contact = np.ones(position.shape[:-1], bool)
+    active = check_mask(in_contact, position.shape[:-1])[..., None]
+    jacobian = hand.contact_jacobian(q, np.where(active, position, 0.0)) * active[..., None]
     return jacobian.reshape(*jacobian.shape[:-3], 3 * hand.n_fingers, hand.nq)
 
 

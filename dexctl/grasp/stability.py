@@ -65,8 +65,9 @@ def stability_forces(
     arguments, and the same for one hand and for each hand of a batch.
 
     Args:
-        contact_position: ``(..., m, 3)`` [m]; contact_normal: ``(..., m, 3)``, unit, into the
-            object; in_contact: ``(..., m)`` bool. Rows out of contact are not read.
+        contact_position: ``(..., m, 3)`` [m], world frame.
+        contact_normal: ``(..., m, 3)``, unit, from the fingertip into the object.
+        in_contact: ``(..., m)`` bool; rows of the others are not read.
         origin: ``(..., 3)`` [m], or one ``(3,)`` for all.
         length: ``(...)`` or one for all [m]; None: the mean distance of the contacts from the
             origin, at least 1 mm.
@@ -95,7 +96,7 @@ def stability_forces(
                 np.asarray(contact_normal, float),
                 np.asarray(in_contact),
                 np.asarray(origin, float),
-                length,
+                None if length is None else float(length),  # type: ignore[arg-type]
                 regulariser,
                 min_force,
                 max_force,
@@ -169,7 +170,7 @@ def _solve_one(
     normal: Floats,
     in_contact: NDArray,
     origin: Floats,
-    length: ArrayLike | None,
+    length: float | None,
     regulariser: float,
     min_force: float,
     max_force: ArrayLike | None,
@@ -182,7 +183,7 @@ def _solve_one(
     fingers, three = (m,), (m, 3)
     if position.shape != three or normal.shape != three or in_contact.shape != fingers:
         return None
-    if origin.shape != (3,) or not (length is None or np.ndim(length) == 0):
+    if origin.shape != (3,):
         return None
     limits = [1.0] * m
     if max_force is not None:
@@ -206,7 +207,7 @@ def _solve_one(
             return None
         rows.append([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
         total += sqrt(x * x + y * y + z * z)
-    scale = max(total / len(touching), MIN_LENGTH) if length is None else float(length)  # type: ignore[arg-type]
+    scale = max(total / len(touching), MIN_LENGTH) if length is None else length
     if not (scale > 0.0 and isfinite(scale) and isfinite(total)):
         return None
     wrenches = np.array(rows)
@@ -214,9 +215,7 @@ def _solve_one(
     hessian = wrenches @ wrenches.T
     hessian.ravel()[:: len(touching) + 1] += regulariser
     upper = [limits[i] for i in touching]
-    lower = (
-        [min(min_force, u) for u in upper] if max_force is not None else [min_force] * len(upper)
-    )
+    lower = [min(min_force, u) for u in upper]
     values, held = solve_stability(hessian, lower, upper, regulariser)
     left = np.array(values) @ wrenches
     forces = [0.0] * m

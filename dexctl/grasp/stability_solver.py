@@ -13,12 +13,12 @@ solved. Objectives in here are divided by rho, and counted from the unconstraine
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dposv
 
 from dexctl.grasp.box_qp import TOLERANCE, BoxBatch, solve_box
 from dexctl.state import Bools, Floats
@@ -30,7 +30,19 @@ _PENALTY = 1e-7  # regulariser of each step of the method of multipliers
 _MAX_MULTIPLIER_STEPS = 100
 _RESIDUAL_TIE, _SPREAD_TIE = 1e-8, 1e-7
 _RANK = 1e-7  # singular values below this share of the largest count as zero
-_identities: dict[int, Floats] = {}
+
+
+@cache
+def _dposv() -> Callable[[Floats, Floats], tuple[Floats, Floats, int]]:
+    """LAPACK's solver for positive definite systems, imported when first used."""
+    from scipy.linalg import lapack
+
+    return lapack.dposv  # type: ignore[attr-defined]
+
+
+@cache
+def _identity(k: int) -> Floats:
+    return np.eye(k)
 
 
 def solve_stability(
@@ -40,18 +52,16 @@ def solve_stability(
 
     Args:
         hessian: W'W + regulariser I, ``(k, k)``, k >= 1, positive definite.
-        lower, upper: k floats each, 0 <= lower <= upper <= 1; j is a candidate for the contact
-            held at one where upper[j] is 1.
+        lower: k floats, 0 <= lower <= upper.
+        upper: k floats, at most 1; j is a candidate for the contact held at one where upper[j]
+            is 1.
         regulariser: rho > 0; below 1e-6 round-off shows.
 
     Returns:
         The k forces, and j; -1 where no upper bound is 1 (then only the bounds hold).
     """
     k = len(lower)
-    identity = _identities.get(k)
-    if identity is None:
-        identity = _identities.setdefault(k, np.eye(k))
-    inverse: list[list[float]] = dposv(hessian, identity)[1].tolist()
+    inverse: list[list[float]] = _dposv()(hessian, _identity(k))[1].tolist()
     table = [[regulariser * a for a in row] for row in inverse]
     free = [sum(row) for row in table]
     candidates = sorted(
@@ -123,7 +133,8 @@ def solve_stability_batch(
 
     Args:
         gram: W'W, ``(m, m, n)``; rows and columns of fingers out of contact are zero.
-        lower, upper: ``(m, n)``, both zero for fingers out of contact.
+        lower: ``(m, n)``, 0 <= lower <= upper; zero for fingers out of contact.
+        upper: ``(m, n)``, at most 1; zero for fingers out of contact.
         regulariser: rho > 0.
         active: ``(m, n)``, which fingers are in contact.
 
@@ -183,8 +194,10 @@ def solve_lexicographic_batch(
     forces at their bounds then gives the answer to full accuracy.
 
     Args:
-        wrenches: W, ``(6, m, n)``, zero columns for fingers out of contact. The others as in
-            :func:`solve_stability_batch`.
+        wrenches: W, ``(6, m, n)``, zero columns for fingers out of contact.
+        lower: see :func:`solve_stability_batch`.
+        upper: see :func:`solve_stability_batch`.
+        active: ``(m, n)``, which fingers are in contact.
     """
     m, n = lower.shape
     gram = np.einsum("aim,ajm->ijm", wrenches, wrenches)

@@ -74,7 +74,7 @@ def test_agrees_with_the_enumeration_of_supports(rho, k, spread):
         if (limit < 1).all():
             assert got.held == -1
             continue
-        first, second, c, _ = enumerate_supports(w, rho, np.minimum(least, limit), limit)
+        first, second, _, _ = enumerate_supports(w, rho, np.minimum(least, limit), limit)
         assert got.forces.max() == 1.0 and got.forces[got.held] == 1.0
         assert got.residual == pytest.approx(np.linalg.norm(w @ got.forces), abs=1e-12)
         if rho:
