@@ -1,0 +1,117 @@
+"""Which commands there are, found without loading what they need.
+
+dexctl's own commands stand in a table. Other packages add theirs through the entry-point group
+``dexctl.commands``: the name is the command's, the object is either a class as `Command`
+describes, or a mapping of names to such classes (``dexctl hardware scan``). An entry point is
+loaded when its command is run, not before: the overview reads the first line of the class's
+docstring from the source file.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from dexctl.exceptions import UnknownName
+
+GROUP = "dexctl.commands"
+
+
+class Command(Protocol):
+    """A command: tyro makes its options from the constructor, and its help from the docstrings."""
+
+    def run(self) -> int | None:
+        """Do it. None or 0: it went well; raise DexctlError or return 1 where it did not."""
+        ...
+
+
+class CommandEntry(NamedTuple):
+    """Where a command is found.
+
+    Attributes:
+        name: as typed.
+        target: ``module:attribute``.
+        summary: one line, "" where it cannot be read.
+    """
+
+    name: str
+    target: str
+    summary: str
+
+    def load(self) -> type[Command] | Mapping[str, type[Command]]:
+        """The command's class, or a mapping of names to classes."""
+        return EntryPoint(self.name, self.target, GROUP).load()
+
+
+_OWN = (
+    CommandEntry(
+        "demo",
+        "dexctl.cli.demo:Demo",
+        "Turn a cube with each controller; table, video and report.",
+    ),
+    CommandEntry(
+        "rotate",
+        "dexctl.cli.rotate:Rotate",
+        "Turn an object with one controller, many trials at once.",
+    ),
+    CommandEntry(
+        "check-grasp",
+        "dexctl.cli.check_grasp:CheckGrasp",
+        "Settle a grasp and say how good it is.",
+    ),
+    CommandEntry("hands", "dexctl.cli.hands:Hands", "List the hands that are known by name."),
+)
+
+
+def commands() -> dict[str, CommandEntry]:
+    """All commands by name; a name of dexctl's own cannot be taken over by another package."""
+    found = {entry.name: entry for entry in _OWN}
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        if point.name not in found:
+            found[point.name] = CommandEntry(point.name, point.value, _summary(point))
+    return found
+
+
+def find(name: str) -> CommandEntry:
+    """The command ``name``.
+
+    Raises:
+        UnknownName: no such command.
+    """
+    known = commands()
+    if name not in known:
+        raise UnknownName("command", name, known)
+    return known[name]
+
+
+def _summary(point: EntryPoint) -> str:
+    """First line of the docstring of what ``point`` names (a mapping: of its module)."""
+    try:
+        tree = ast.parse(_source(point.module).read_text(encoding="utf-8"))
+    except (OSError, SyntaxError, ValueError, ImportError):
+        return ""
+    for node in tree.body:
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name == point.attr:
+            return _first_line(ast.get_docstring(node))
+    return _first_line(ast.get_docstring(tree))
+
+
+def _source(module: str) -> Path:
+    """The file of a module; only the top-level package is looked up, and nothing is imported."""
+    package, *rest = module.split(".")
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        raise ImportError(f"no package {package!r}")
+    origin = Path(spec.origin)
+    if not rest:
+        return origin
+    path = origin.parent.joinpath(*rest)
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+
+
+def _first_line(docstring: str | None) -> str:
+    return docstring.strip().splitlines()[0] if docstring and docstring.strip() else ""

@@ -1,0 +1,265 @@
+"""``dexctl demo``: every controller turns the same object; table, video and report."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dexctl.cli.output import notes, print_json, progress, results
+from dexctl.cli.parsing import check_seconds, make_folder
+from dexctl.cli.trials import CONTROL_PERIOD, SceneOptions, make_controller, run_trials
+from dexctl.exceptions import MissingExtra, SimulationError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dexctl.report.demo import Trial
+    from dexctl.sim import Scene
+    from dexctl.sim.record import Recorder
+
+CONTROLLERS = ("igm", "hold", "coordinated")
+KEY_FRAMES, PICTURE_FRAMES = 4, 6
+FPS, VIDEO_SIZE, STILL_SIZE = 15.0, (640, 480), (800, 600)
+DRAWING_BUDGET = 80.0  # a slower machine draws fewer pictures a second, to be done in this time [s]
+AFTER_DROP = 1.5  # the film goes on for so long after a drop [s]
+
+
+@dataclass(kw_only=True)
+class Demo(SceneOptions):
+    """Turn a cube with each controller; table, video and report.
+
+    In-grasp manipulation, contact switching, gaiting with a random finger, and the coordinated
+    gait each get one trial from the same start. The folder then holds report.html (open it in a
+    browser; it needs nothing beside it), demo.mp4, key frames and picture.png. Takes less than
+    two minutes, most of it drawing the video; without OpenGL everything else is made.
+    """
+
+    out: Path = Path("out")
+    """Folder for the files."""
+    seconds: float = 10.0
+    """Simulated time of each controller [s]."""
+    seed: int = 0
+    """Seed of the trials."""
+    no_video: bool = False
+    """Make no video; key frames are drawn all the same."""
+    json: bool = False
+    """Print one JSON object instead of the table."""
+
+    def run(self) -> int:
+        check_seconds(self.seconds, CONTROL_PERIOD)
+        _check_extra()
+        folder = make_folder(self.out)
+        scene = self.build_scene()
+        work = _Work(self, folder, scene)
+        try:
+            work.simulate()
+            if not self.json:
+                work.print_table()
+            work.draw_key_frames()
+        except KeyboardInterrupt:
+            if work.trials:
+                work.console.print("interrupted: writing the report of what is done")
+                work.write_report("Interrupted: what follows is what was done until then.")
+            raise
+        work.write_report()
+        if not self.no_video and work.can_draw:
+            work.draw_video()
+        if self.json:
+            print_json(work.as_dict())
+        else:
+            results().print("\n".join(f"{path}" for path in work.files), soft_wrap=True)
+        return 0
+
+
+@dataclass
+class _Work:
+    """What the demo has done so far."""
+
+    demo: Demo
+    folder: Path
+    scene: Scene
+    console: Console = field(default_factory=notes)
+    trials: dict[str, Trial] = field(default_factory=dict)
+    stills: dict[float, np.ndarray] = field(default_factory=dict)
+    files: list[Path] = field(default_factory=list)
+    can_draw: bool = False
+    drawing_time: float = 0.1  # of one picture [s]
+
+    def simulate(self) -> None:
+        from dexctl.report.demo import Trial
+        from dexctl.report.film import Film
+        from dexctl.report.summary import summarise
+        from dexctl.sim import BatchSimulator
+
+        demo = self.demo
+        with BatchSimulator(self.scene, None, CONTROL_PERIOD) as sim, progress(self.console) as bar:
+            for name in CONTROLLERS:
+                task = bar.add_task(f"simulating {name}", total=demo.seconds)
+                controller, film = make_controller(name, self.scene), Film()
+                trace = run_trials(
+                    controller,
+                    sim,
+                    demo.seconds,
+                    demo.seed,
+                    record=film,
+                    progress=lambda now, task=task: bar.update(task, completed=now),
+                )
+                self.trials[name] = Trial(name, trace, summarise(trace), film)
+
+    def print_table(self) -> None:
+        from rich.table import Table
+
+        from dexctl.report.demo import HEADINGS, row
+
+        demo = self.demo
+        console = results()
+        console.print(
+            f"[bold]{demo.hand} turns a {demo.object}, palm {demo.gravity}: one trial of "
+            f"{demo.seconds:g} s each, seed {demo.seed}[/bold]"
+        )
+        table = Table()
+        for heading in HEADINGS:
+            left = heading == HEADINGS[0]
+            table.add_column(heading.replace("[", r"\["), justify="left" if left else "right")
+        for trial in self.trials.values():
+            table.add_row(*row(trial))
+        console.print(table)
+
+    def draw_key_frames(self) -> None:
+        """Stills for the report; where there is no OpenGL, says how to get one and draws none."""
+        from dexctl.report.demo import key_times
+
+        self.console.print("looking for an OpenGL to draw with", style="dim")
+        try:
+            recorder = self._recorder(None, STILL_SIZE)
+        except SimulationError as error:
+            self.console.print(f"no video and no pictures: {error}", markup=False)
+            return
+        self.can_draw = True
+        total = KEY_FRAMES * len(self.trials) + PICTURE_FRAMES
+        with recorder, progress(self.console) as bar:
+            task = bar.add_task("drawing key frames", total=total)
+            start = perf_counter()
+            for trial in self.trials.values():
+                for i, time in enumerate(key_times(trial.trace, KEY_FRAMES)):
+                    path = self.folder / f"{trial.name}_{i}.png"
+                    recorder(trial.film.at(time))
+                    recorder.picture(path)
+                    trial.pictures[time] = path.read_bytes()
+                    self.files.append(path)
+                    bar.advance(task)
+            best = self.trials[CONTROLLERS[-1]]
+            for time in key_times(best.trace, PICTURE_FRAMES):
+                recorder(best.film.at(time))
+                self.stills[time] = recorder.picture()
+                bar.advance(task)
+            self.drawing_time = (perf_counter() - start) / total
+
+    def write_report(self, *remarks: str) -> None:
+        from dexctl.report.demo import build
+        from dexctl.report.files import write_bytes, write_text
+        from dexctl.report.machine import machine
+        from dexctl.report.picture import compose
+
+        self.console.print("writing the report", style="dim")
+        demo, path = self.demo, self.folder / "report.html"
+        palm = f"palm {demo.gravity}" if demo.gravity in ("up", "down") else "gravity as below"
+        setting = {**demo.describe(self.scene), "seconds": demo.seconds, "seed": demo.seed}
+        document = build(
+            self.trials,
+            setting={**setting, "palm": palm},
+            control_period=CONTROL_PERIOD,
+            command=_command(demo),
+            machine=machine(),
+            remarks=remarks,
+        )
+        write_text(path, document)
+        self.files.insert(0, path)
+        if self.stills:
+            trial = self.trials[CONTROLLERS[-1]]
+            title = f"{demo.hand} turning a {demo.object}: coordinated gait, no learning"
+            path = self.folder / "picture.png"
+            write_bytes(path, compose(trial.trace, self.stills, title))
+            self.files.insert(1, path)
+
+    def draw_video(self) -> None:
+        path = self.folder / "demo.mp4"
+        lengths = {
+            name: min(self.demo.seconds, trial.summary.time_held + AFTER_DROP)
+            for name, trial in self.trials.items()
+        }
+        pictures = DRAWING_BUDGET / self.drawing_time / sum(lengths.values())
+        fps = float(np.clip(np.floor(pictures), 4.0, FPS))
+        if fps < FPS:
+            self.console.print(
+                f"drawing takes {self.drawing_time:.2f} s a picture here: {fps:g} a second "
+                f"instead of {FPS:g}"
+            )
+        recorder = self._recorder(path, VIDEO_SIZE, fps)
+        with recorder, progress(self.console) as bar:
+            for name, trial in self.trials.items():
+                task = bar.add_task(f"drawing {name}", total=lengths[name])
+                trial.film.play(
+                    recorder,
+                    _captions(trial),
+                    until=lengths[name],
+                    progress=lambda now, task=task: bar.update(task, completed=now),
+                )
+        self.files.insert(1, path)
+
+    def as_dict(self) -> dict[str, Any]:
+        from dexctl.report.machine import machine
+
+        return {
+            "command": "demo",
+            **self.demo.describe(self.scene),
+            "seconds": self.demo.seconds,
+            "control_period_s": CONTROL_PERIOD,
+            "seed": self.demo.seed,
+            "controllers": {name: t.summary.as_dict() for name, t in self.trials.items()},
+            "files": [str(path) for path in self.files],
+            "machine": machine(),
+        }
+
+    def _recorder(
+        self, path: Path | None, size: tuple[int, int], fps: float = FPS
+    ) -> Recorder:
+        from dexctl.sim.record import Recorder
+
+        return Recorder(self.scene, path, fps=fps, width=size[0], height=size[1])
+
+
+def _captions(trial: Trial) -> Any:
+    from dexctl.report.style import title_of
+
+    title, trace = title_of(trial.name), trial.trace
+
+    def caption(i: int) -> str:
+        state = "" if trace.held[i] else "  dropped"
+        return f"{title}   {trace.time[i]:4.1f} s   {trace.rotation[i]:5.2f} rad{state}"
+
+    return caption
+
+
+def _check_extra() -> None:
+    """The demo's report is drawn with matplotlib: say so before anything is simulated."""
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None or find_spec("imageio") is None:
+        raise MissingExtra("dexctl demo", "viz")
+
+
+def _command(demo: Demo) -> str:
+    """What to type to get the same again."""
+    words = ["dexctl", "demo"]
+    for name, default in Demo().__dict__.items():
+        value = getattr(demo, name)
+        if name != "json" and value != default:
+            option = f"--{name.replace('_', '-')}"
+            words += [option] if value is True else [option, str(value)]
+    return shlex.join(words)

@@ -1,0 +1,79 @@
+"""``dexctl hands``: the hands that are known by name."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from dexctl import hands
+
+
+@dataclass(kw_only=True)
+class Hands:
+    """List the hands that are known by name, and whether their files are here.
+
+    Hands that are not built in are looked for in the folder that DEXCTL_MENAGERIE names, else in
+    the package mujoco-menagerie, which downloads them when they are first loaded; this command
+    downloads nothing.
+    """
+
+    json: bool = False
+    """Print one JSON object instead of the table."""
+
+    def run(self) -> int:
+        from dexctl.cli.output import print_json, results
+
+        found = {name: describe(name) for name in hands.names()}
+        if self.json:
+            print_json({"hands": found})
+            return 0
+        from rich.table import Table
+
+        table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
+        for heading in ("hand", "fingers", "joints", "files", "description"):
+            table.add_column(heading, justify="right" if heading in ("fingers", "joints") else "left")
+        for name, about in found.items():
+            joints = "?" if about["joints"] is None else str(about["joints"])
+            table.add_row(
+                name, str(about["fingers"]), joints, about["files"], about["description"]
+            )
+        results().print(table)
+        return 0
+
+
+def describe(name: str) -> dict[str, Any]:
+    """What the table says of a hand; loads neither MuJoCo nor the hand.
+
+    ``files`` is "built in", "here", "missing", or "on demand" where a download would come first.
+    """
+    hand = hands.entry(name)
+    path, files = None, "missing"
+    folder = os.environ.get("DEXCTL_MENAGERIE")
+    if not hand.menagerie:
+        path, files = Path(hands.__file__).parent / hand.file, "built in"
+    elif folder:
+        path = Path(folder).expanduser() / hand.file
+        files = "here"
+    elif find_spec("mujoco_menagerie") is not None:
+        files = "on demand"
+    if path is not None and not path.is_file():
+        path, files = None, "missing"
+    return {
+        "description": hand.description,
+        "fingers": len(hand.fingertips),
+        "joints": None if path is None else _count_joints(path),
+        "files": files,
+        "path": None if path is None else str(path),
+    }
+
+
+def _count_joints(path: Path) -> int | None:
+    """Joints of an MJCF file, as it writes them; None where the file includes others."""
+    root = ElementTree.parse(path).getroot()
+    if root.find(".//include") is not None:
+        return None
+    return sum(len(list(world.iter("joint"))) for world in root.findall("worldbody"))

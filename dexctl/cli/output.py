@@ -1,0 +1,56 @@
+"""What commands print: results on stdout, everything else on stderr."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+
+def notes() -> Console:
+    """Where progress and remarks go: stderr, so that stdout can be piped."""
+    return Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def results() -> Console:
+    """Where tables go."""
+    return Console(highlight=False)
+
+
+def print_json(result: Mapping[str, Any]) -> None:
+    """Exactly one JSON object on stdout."""
+    print(to_json(result))
+
+
+def to_json(result: Mapping[str, Any]) -> str:
+    """As JSON text; arrays become lists, and what is not finite becomes null."""
+    return json.dumps(_plain(result), indent=2, allow_nan=False)
+
+
+def progress(console: Console) -> Progress:
+    """A progress bar with what it is about, the part done and the time left."""
+    return Progress(
+        TextColumn("{task.description:<34}"),
+        BarColumn(bar_width=28),
+        TextColumn("{task.percentage:>4.0f} %"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,123 @@
+"""The controllers by name, for the command line, benchmarks and configuration files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.controller import Controller, check_state
+from dexctl.exceptions import UnknownName
+from dexctl.hand import HandModel
+from dexctl.state import Floats, GraspState
+
+
+@final
+class Hold(Controller):
+    """Leaves the set-points where they are: what the grasp does by itself, for comparison."""
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        """Nothing to forget."""
+
+    def act(self, state: GraspState) -> Floats:
+        check_state(self.hand, state)
+        return np.zeros_like(state.q_target)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControllerEntry:
+    """A controller that has a name.
+
+    Attributes:
+        name: what `make` takes.
+        title: what people read.
+        description: one line.
+        module, attribute: where the class is.
+    """
+
+    name: str
+    title: str
+    description: str
+    module: str
+    attribute: str
+
+
+_CONTROLLERS = {
+    entry.name: entry
+    for entry in (
+        ControllerEntry(
+            name="igm",
+            title="in-grasp manipulation",
+            description="turns the object with all fingers, without letting go (psi_IGM)",
+            module="dexctl.igm",
+            attribute="InGraspManipulation",
+        ),
+        ControllerEntry(
+            name="switch",
+            title="contact switching",
+            description="lifts one finger after the other and puts it back (psi_CS)",
+            module="dexctl.switch",
+            attribute="ContactSwitch",
+        ),
+        ControllerEntry(
+            name="gait",
+            title="gaiting, random finger",
+            description="the thesis gait: both at once, the finger chosen at random (psi_FG)",
+            module="dexctl.gait",
+            attribute="FingerGaiting",
+        ),
+        ControllerEntry(
+            name="coordinated",
+            title="coordinated gait",
+            description="gaiting that chooses finger and moment, and keeps the grasp closed",
+            module="dexctl.gait",
+            attribute="CoordinatedGait",
+        ),
+        ControllerEntry(
+            name="hold",
+            title="hold still",
+            description="keeps the set-points, for comparison",
+            module="dexctl.controllers",
+            attribute="Hold",
+        ),
+    )
+}
+
+
+def names() -> tuple[str, ...]:
+    """The names that `make` takes."""
+    return tuple(_CONTROLLERS)
+
+
+def entry(name: str) -> ControllerEntry:
+    """What is known of a controller by name.
+
+    Raises:
+        UnknownName: no such controller.
+    """
+    if name not in _CONTROLLERS:
+        raise UnknownName("controller", name, _CONTROLLERS)
+    return _CONTROLLERS[name]
+
+
+def make(
+    name: str, hand: HandModel, *, control_period: float = 0.05, **options: Any
+) -> Controller:
+    """The controller ``name`` for ``hand``.
+
+    Args:
+        name: one of `names`.
+        hand: the hand.
+        control_period: time between two calls of ``act`` [s].
+        **options: what else the controller's class takes, settings among it.
+
+    Raises:
+        UnknownName: no such controller.
+        InvalidInput: a setting out of range.
+    """
+    found = entry(name)
+    kind = getattr(import_module(found.module), found.attribute)
+    return kind(hand, control_period=control_period, **options)

@@ -1,0 +1,186 @@
+"""The demo's report: several controllers on the same object, one trial each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dexctl import controllers
+from dexctl.report import figures, html
+from dexctl.report.film import Film
+from dexctl.report.style import drawing, title_of
+from dexctl.report.summary import TrialSummary
+from dexctl.sim import Trace
+
+HEADINGS = (
+    "controller",
+    "rotation [rad]",
+    "time held [s]",
+    "fingertips in touch",
+    "largest residual [-]",
+    "latency, median [ms]",
+    "latency, p99 [ms]",
+)
+
+
+@dataclass
+class Trial:
+    """One controller's trial.
+
+    Attributes:
+        name: the controller's.
+        trace, summary: what happened, and what it came to.
+        film: for drawing it.
+        pictures: key frames as PNG files' contents, by simulated time [s].
+    """
+
+    name: str
+    trace: Trace
+    summary: TrialSummary
+    film: Film
+    pictures: dict[float, bytes] = field(default_factory=dict)
+
+
+def row(trial: Trial) -> tuple[str, ...]:
+    """A trial as a table row under `HEADINGS`."""
+    found = trial.summary
+    residual = "-" if found.largest_residual is None else f"{found.largest_residual:.3f}"
+    return (
+        title_of(trial.name),
+        f"{found.rotation:.2f}",
+        f"{found.time_held:.1f}" + (" (dropped)" if found.dropped else ""),
+        f"{found.mean_contacts:.1f}",
+        residual,
+        f"{1e3 * found.latency_median:.2f}",
+        f"{1e3 * found.latency_p99:.2f}",
+    )
+
+
+def key_times(trace: Trace, count: int) -> list[float]:
+    """``count`` moments of one trial, evenly spread over the time that it holds the object [s]."""
+    end = float(trace.time_held)
+    return [float(time) for time in np.linspace(0.0, end, count)]
+
+
+def build(
+    trials: Mapping[str, Trial],
+    *,
+    setting: Mapping[str, Any],
+    control_period: float,
+    command: str,
+    machine: Mapping[str, Any],
+    remarks: tuple[str, ...] = (),
+) -> str:
+    """The report as one HTML document.
+
+    Args:
+        trials: by controller, in the order of the report.
+        setting: hand, object, gravity, seed and so on, as text can show them.
+        control_period: [s].
+        command: what was typed.
+        machine: see `dexctl.report.machine`.
+        remarks: what the reader should know, an interruption for example.
+    """
+    traces = {name: trial.trace for name, trial in trials.items()}
+    with drawing():
+        sections = [
+            *(html.paragraph(remark, "note") for remark in remarks),
+            _overview(trials, traces),
+            *(_trial_section(trial) for trial in trials.values()),
+            _latency(traces, control_period),
+            _conditions(setting, control_period, command, machine),
+        ]
+    title = f"{setting['hand']} turns a {setting['object']}"
+    subtitle = (
+        f"{len(trials)} controllers, one trial of {setting['seconds']:g} s each, "
+        f"{setting['palm']}, seed {setting['seed']}"
+    )
+    return html.page(title, subtitle, sections)
+
+
+def _overview(trials: Mapping[str, Trial], traces: Mapping[str, Trace]) -> str:
+    return html.section(
+        "Results",
+        html.table(HEADINGS, [row(trial) for trial in trials.values()]),
+        html.paragraph(
+            "Rotation is the unwrapped angle about the palm axis, up to the drop (centre more than "
+            "0.05 m from its start) or the end. Fingertips in touch is the mean over the time "
+            "held. The residual is the norm of the wrench that the stability QP leaves, in units "
+            "of the grip force. Latency is the wall time of one call for one hand. This is one "
+            "trial of each controller: `dexctl rotate` runs many.",
+            "note",
+        ),
+        html.plot(
+            figures.rotation_figure(traces),
+            "Rotation over time, one line per controller",
+            "Rotation over time.",
+        ),
+    )
+
+
+def _trial_section(trial: Trial) -> str:
+    entry = controllers.entry(trial.name)
+    parts = [html.paragraph(f"{entry.description[0].upper()}{entry.description[1:]}.")]
+    if trial.pictures:
+        parts.append(
+            html.strip(
+                html.image(content, f"{entry.title} after {time:.1f} s", f"{time:.1f} s")
+                for time, content in trial.pictures.items()
+            )
+        )
+    outline = ""
+    if figures.switching_fingers(trial.trace) is not None:
+        outline = " Outlined: the controller is switching this finger."
+    parts.append(
+        html.plot(
+            figures.trial_figure(trial.trace),
+            f"{entry.title}: contacts, forces and residual over time",
+            f"A bar while the fingertip touches.{outline} Colours are the same in all plots.",
+        )
+    )
+    return html.section(f"{entry.title[0].upper()}{entry.title[1:]}", *parts)
+
+
+def _latency(traces: Mapping[str, Trace], control_period: float) -> str:
+    return html.section(
+        "Controller latency",
+        html.plot(
+            figures.latency_figure(traces, control_period),
+            "Distribution of the controllers' latency",
+            "Share of the calls that took at most so long, one hand, measured during the trials; "
+            "other work on the machine shows in the tail.",
+        ),
+    )
+
+
+def _conditions(
+    setting: Mapping[str, Any], control_period: float, command: str, machine: Mapping[str, Any]
+) -> str:
+    gravity = ", ".join(f"{g:g}" for g in setting["gravity_m_s2"])
+    versions = ", ".join(f"{name} {number}" for name, number in machine["versions"].items())
+    width = setting["object_width_m"]
+    return html.section(
+        "Conditions",
+        html.facts(
+            [
+                ("command", command),
+                ("hand", str(setting["hand"])),
+                (
+                    "object",
+                    f"{setting['object']}, "
+                    + (f"{width:g} m wide, " if width else "")
+                    + f"{setting['object_mass_kg']:g} kg, friction {setting['friction']:g}",
+                ),
+                ("gravity", f"({gravity}) m/s²"),
+                ("seed", str(setting["seed"])),
+                ("control", f"{1 / control_period:g} Hz, 10 physics steps each"),
+                ("start", "settled grasp, set-points disturbed by N(0, 0.02 rad)"),
+                ("machine", f"{machine['processor']}, {machine['cores']} cores"),
+                ("system", f"{machine['system']}, Python {machine['python']}"),
+                ("versions", versions),
+            ]
+        ),
+    )

@@ -1,0 +1,101 @@
+"""How plots look: one colour per finger and per controller, everywhere, readable in print.
+
+The hues are of Okabe and Ito's palette, which people with colour-vision deficiencies can tell
+apart; controllers differ by line style as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from dexctl import controllers
+from dexctl.exceptions import MissingExtra, UnknownName
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+INK, FAINT, GRID = "#1f2933", "#7b8794", "#d9dee3"
+_FINGERS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#5b3fa0", "#8c8c8c")
+_CONTROLLERS = {
+    "igm": ("#009e73", "-"),
+    "switch": ("#b8860b", "-."),
+    "gait": ("#cc4b7a", (0, (5, 2))),
+    "coordinated": ("#0072b2", "-"),
+    "hold": ("#7b8794", ":"),
+}
+_SETTINGS = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same on every machine
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": FAINT,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "svg.hashsalt": "dexctl",  # the same drawing gives the same file
+    "savefig.dpi": 150,
+}
+
+
+def finger_colour(i: int) -> str:
+    """Colour of finger i, counted from 0; they repeat after eight."""
+    return _FINGERS[i % len(_FINGERS)]
+
+
+def controller_line(name: str) -> dict[str, Any]:
+    """``color`` and ``linestyle`` of a controller's lines; other names get a neutral one."""
+    colour, style = _CONTROLLERS.get(name, (INK, "-"))
+    return {"color": colour, "linestyle": style}
+
+
+def title_of(name: str) -> str:
+    """What people read for a controller's name."""
+    try:
+        return controllers.entry(name).title
+    except UnknownName:
+        return name
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Plots drawn in this block look like ours; the user's matplotlib settings stay untouched.
+
+    Raises:
+        MissingExtra: there is no matplotlib.
+    """
+    with _matplotlib().rc_context(_SETTINGS):
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure [inch] that no window and no global state knows."""
+    _matplotlib()
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height))
+
+
+def _matplotlib() -> Any:
+    try:
+        import matplotlib
+    except ImportError:
+        raise MissingExtra("plotting", "viz") from None
+    return matplotlib
