@@ -24,7 +24,7 @@ class HandEntry:
         fingertips: body name -> where the tip is in that body's frame [m].
         grasp_centre: where the hand holds an object, world frame [m].
         object_radius: half the width of the objects that suit the hand [m].
-        open_q: joints of the open hand, by name [rad]; a name left out is at the middle of its range.
+        open_q: joints of the open hand, by name [rad]; one left out is at the middle of its range.
     """
 
     name: str
@@ -118,7 +118,9 @@ def _menagerie_file(hand: HandEntry, folder: str | Path | None) -> Path:
     if chosen:
         path = Path(chosen).expanduser() / hand.file
         if not path.is_file():
-            raise HandModelError(f"{hand.name}: {path} is not there; expected {hand.file} in the folder")
+            raise HandModelError(
+                f"{hand.name}: {path} is not there; expected {hand.file} in the folder"
+            )
         return path
     model, file = Path(hand.file).parts
     how = (
@@ -136,7 +138,9 @@ def _menagerie_file(hand: HandEntry, folder: str | Path | None) -> Path:
         path = mujoco_menagerie.get(model).path(progress=None) / file
     except (mujoco_menagerie.MenagerieError, OSError, ValueError, LookupError) as error:
         reason = " ".join(str(error).split())
-        raise HandModelError(f"{hand.name}: mujoco-menagerie cannot get it ({reason}); {how}") from None
+        raise HandModelError(
+            f"{hand.name}: mujoco-menagerie cannot get it ({reason}); {how}"
+        ) from None
     if not path.is_file():
         raise HandModelError(f"{hand.name}: {path} is not there; {how}")
     return path

@@ -1,0 +1,157 @@
+"""Scenes, objects and settled grasps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from dexctl import HandModel, hands
+from dexctl.exceptions import HandModelError, InvalidInput, SimulationError, UnknownName
+from dexctl.sim import Scene, object_names
+
+
+def write_box_stl(path: Path, size: tuple[float, float, float], corner: float) -> None:
+    """A binary STL of a box with one corner at (corner, corner, corner)."""
+    unit = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    vertices = unit * size + corner
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    record = np.zeros(len(triangles), [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
+    record["v"] = vertices[np.array(triangles)]
+    path.write_bytes(b"\0" * 80 + np.uint32(len(triangles)).tobytes() + record.tobytes())
+
+
+@pytest.mark.parametrize("gravity", ["up", "down"])
+@pytest.mark.parametrize("name", object_names())
+def test_dex5_holds_every_object(name: str, gravity: str) -> None:
+    scene = Scene.build("dex5", name, gravity)
+    body = scene.model.body("object")
+    assert body.mass[0] == pytest.approx(0.1)
+    np.testing.assert_allclose(body.ipos, 0.0, atol=1e-6)  # the body frame is the centre of mass
+    settled = scene.settled
+    centre = settled.qpos[scene.object_qpos][:3]
+    assert np.linalg.norm(centre - scene.grasp_centre) < 0.01
+    assert scene.settled is settled
+
+
+@pytest.mark.parametrize("gravity", ["up", "down"])
+@pytest.mark.parametrize("name", ["cube", "sphere", "cylinder"])
+def test_allegro_holds_objects_of_its_size(allegro: HandModel, name: str, gravity: str) -> None:
+    scene = Scene.build(allegro, name, gravity)
+    assert scene.object_width == pytest.approx(0.07)
+    assert np.linalg.norm(scene.settled.qpos[scene.object_qpos][:3] - scene.grasp_centre) < 0.01
+    assert scene.model.nmesh == 0  # visual meshes are not stepped
+    assert scene.spec.compile().nmesh > 0
+
+
+def test_gravity_by_name_and_vector() -> None:
+    np.testing.assert_allclose(Scene.build("dex5", gravity="up").model.opt.gravity, [0, 0, -9.81])
+    np.testing.assert_allclose(Scene.build("dex5", gravity="down").model.opt.gravity, [0, 0, 9.81])
+    sideways = Scene.build("dex5", "cube", (9.81, 0, 0))
+    np.testing.assert_allclose(
+        sideways.settled.qpos[sideways.object_qpos][:3], [0, 0, 0.13], atol=0.01
+    )
+
+
+def test_object_size_and_inertia() -> None:
+    scene = Scene.build("dex5", "sphere", object_size=0.08, object_mass=0.2)
+    inertia = scene.model.body("object").inertia
+    np.testing.assert_allclose(inertia, 0.4 * 0.2 * 0.04**2, rtol=1e-6)  # 2/5 m r^2
+    for name in ("icosahedron", "dodecahedron"):
+        model = Scene.build("dex5", name).model
+        vertices = model.mesh_vert
+        height = np.ptp(vertices, axis=0)
+        assert 0.09 < height.min() <= height.max() < 0.14
+        inertia = model.body("object").inertia
+        np.testing.assert_allclose(inertia, inertia[0], rtol=1e-3)  # as a sphere's: isotropic
+
+
+def test_a_mesh_of_the_users(tmp_path: Path) -> None:
+    path = tmp_path / "box.stl"
+    write_box_stl(path, (0.2, 0.2, 0.1), corner=0.7)
+    own = Scene.build("dex5", "mesh", object_mesh=path)
+    np.testing.assert_allclose(own.model.body("object").ipos, 0.0, atol=1e-6)
+    scene = Scene.build("dex5", "mesh", object_mesh=path, object_size=0.1)
+    lengths = np.ptp(scene.model.mesh_vert, axis=0)
+    np.testing.assert_allclose(np.sort(lengths), [0.05, 0.1, 0.1], atol=1e-6)
+    scene.settled  # noqa: B018 (raises where it is not held)
+    with pytest.raises(SimulationError, match="no such file"):
+        Scene.build("dex5", "mesh", object_mesh=tmp_path / "nothing.stl")
+    (tmp_path / "broken.stl").write_bytes(b"not a mesh")
+    with pytest.raises(SimulationError, match=r"broken.stl.*cannot read it"):
+        Scene.build("dex5", "mesh", object_mesh=tmp_path / "broken.stl")
+    with pytest.raises(InvalidInput, match="goes with object 'mesh' only"):
+        Scene.build("dex5", "cube", object_mesh=path)
+
+
+def test_wrong_names_and_numbers() -> None:
+    with pytest.raises(UnknownName, match="unknown object 'teapot'; known: cube, sphere"):
+        Scene.build("dex5", "teapot")
+    with pytest.raises(UnknownName, match="unknown hand 'dex6'; known: dex5"):
+        Scene.build("dex6")
+    with pytest.raises(UnknownName, match="unknown gravity 'left'; known: up, down"):
+        Scene.build("dex5", "cube", "left")
+    with pytest.raises(InvalidInput, match="gravity is"):
+        Scene.build("dex5", "cube", (0, np.nan, 0))
+    with pytest.raises(InvalidInput, match="object_mass is 0"):
+        Scene.build("dex5", object_mass=0)
+    with pytest.raises(InvalidInput, match="object_size is -1"):
+        Scene.build("dex5", object_size=-1)
+    with pytest.raises(InvalidInput, match="friction is -1"):
+        Scene.build("dex5", friction=-1)
+
+
+def test_what_cannot_be_held_says_so() -> None:
+    scene = Scene.build("dex5", "sphere", object_mass=20.0)
+    with pytest.raises(SimulationError, match=r"dex5 does not hold 'sphere' .*20 kg.*touch it"):
+        scene.settled  # noqa: B018
+
+
+def test_an_unknown_hand_needs_to_say_what_it_holds(tmp_path: Path, dex5: HandModel) -> None:
+    path = tmp_path / "mine.xml"
+    path.write_text(dex5.path.read_text())
+    mine = HandModel.from_mjcf(path, list(dex5.fingertip_names))
+    with pytest.raises(InvalidInput, match=r"mine.xml is not one of the known hands \(dex5"):
+        Scene.build(mine, "cube")
+    opened = hands.entry("dex5").open_q
+    scene = Scene.build(
+        mine,
+        "cube",
+        object_size=0.1,
+        grasp_centre=(0, 0, 0.13),
+        open_q=[opened[name] for name in mine.joint_names],
+    )
+    np.testing.assert_array_equal(scene.settled.qpos, Scene.build("dex5", "cube").settled.qpos)
+
+
+def test_a_joint_without_servo_is_named(tmp_path: Path, dex5: HandModel) -> None:
+    path = tmp_path / "dex5.xml"
+    lines = dex5.path.read_text().splitlines()
+    path.write_text("\n".join(line for line in lines if 'joint="f2_roll"' not in line))
+    hand = HandModel.from_mjcf(path, list(dex5.fingertip_names))
+    with pytest.raises(SimulationError, match="no position actuator drives f2_roll;"):
+        Scene.build(hand, "cube")
+
+
+def test_servo_maps_follow_gear(tmp_path: Path, dex5: HandModel) -> None:
+    text = dex5.path.read_text().replace('joint="f2_roll"/>', 'joint="f2_roll" gear="2"/>')
+    path = tmp_path / "dex5.xml"
+    path.write_text(text)
+    scene = Scene.build(HandModel.from_mjcf(path, list(dex5.fingertip_names)), "cube")
+    joint = scene.hand.joint_names.index("f2_roll")
+    assert scene.ctrl_per_radian[joint] == 2.0
+    assert scene.stiffness[joint] == pytest.approx(12.0)  # kp 3, gear squared
+    assert isinstance(scene.model, mujoco.MjModel)
+
+
+def test_menagerie_failures_are_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("DEXCTL_MENAGERIE", raising=False)
+    monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))  # the package finds nothing, offline
+    with pytest.raises(HandModelError, match="DEXCTL_MENAGERIE") as caught:
+        hands.load("wonik_allegro")
+    assert "\n" not in str(caught.value)
+    with pytest.raises(HandModelError, match="is not there"):
+        hands.load("wonik_allegro", folder=tmp_path)

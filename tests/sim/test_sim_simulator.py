@@ -1,0 +1,267 @@
+"""BatchSimulator: one against many, replays, limits, parameters, divergence, groups."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
+from dexctl.plant import Plant
+from dexctl.rotations import inverse, multiply, rotation_vector
+from dexctl.sim import BatchSimulator, GroupedSimulator, Scene, Tactile
+from dexctl.state import GraspState
+
+NOISY = Tactile(position_noise=1e-3, normal_noise=0.02, force_noise=0.1, latency=0.02)
+
+
+@pytest.fixture(scope="module")
+def cube() -> Scene:
+    return Scene.build("dex5", "cube", "up")
+
+
+def drive(sim: BatchSimulator | GroupedSimulator, steps: int, first: int = 0) -> None:
+    """Wiggle the set-points in a way that depends on the step only."""
+    for k in range(first, first + steps):
+        wiggle = 0.02 * np.sin(0.7 * k + np.arange(sim.hand.nq))
+        sim.write(sim.read().q_target + wiggle)
+        sim.step()
+
+
+def assert_same(a: GraspState, b: GraspState) -> None:
+    for name in a.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+
+
+def test_each_of_a_batch_is_a_single_hand_with_its_seed(cube: Scene) -> None:
+    batch = BatchSimulator(cube, 3, seed=7, tactile=NOISY)
+    singles = [BatchSimulator(cube, None, seed=7 + i, tactile=NOISY, threads=1) for i in range(3)]
+    assert isinstance(batch, Plant)
+    assert singles[0].read().batch_shape == ()
+    assert singles[0].time.shape == singles[0].other_contact.shape == ()
+    assert singles[0].object_angular_velocity.shape == (3,)
+    for first in (0, 5):
+        for i, single in enumerate(singles):
+            assert_same(single.read(), batch.read()[i])
+        for sim in (batch, *singles):
+            drive(sim, 5, first)
+    assert not np.array_equal(batch.read().q[0], batch.read().q[1])
+
+
+def test_the_grasp_holds_and_state_is_consistent(cube: Scene) -> None:
+    sim = BatchSimulator(cube, 8, seed=0)
+    start = sim.read()
+    assert start.in_contact.all()
+    np.testing.assert_allclose(np.linalg.norm(start.contact_normal, axis=-1), 1.0, atol=1e-12)
+    inward = cube.grasp_centre - start.contact_position
+    assert (np.einsum("nmk,nmk->nm", inward, start.contact_normal) > 0).all()
+    before = start.object_quaternion
+    drive(sim, 1)
+    assert before is not None
+    after = sim.read().object_quaternion
+    assert after is not None
+    turn = rotation_vector(multiply(after, inverse(before))) / 0.05
+    np.testing.assert_allclose(sim.object_angular_velocity, turn, atol=1e-12)
+    drive(sim, 19)
+    state = sim.read()
+    np.testing.assert_allclose(state.time, 1.0)
+    np.testing.assert_allclose(state.age, 0.005)
+    assert state.object_position is not None
+    assert np.linalg.norm(state.object_position - sim.start_position, axis=1).max() < 0.02
+    assert not sim.other_contact.any()
+
+
+def test_restore_replays_bit_for_bit(cube: Scene) -> None:
+    sim = BatchSimulator(cube, 4, seed=3, tactile=NOISY)
+    drive(sim, 3)
+    saved = sim.save()
+    drive(sim, 6, 3)
+    sim.reset(mask=np.array([True, False, False, True]))  # draws random numbers
+    drive(sim, 3, 9)
+    first, velocity = sim.read(), sim.object_angular_velocity
+    other = BatchSimulator(cube, 4, seed=99, tactile=NOISY, threads=1)
+    other.set_parameters(friction=0.3)
+    for again in (sim, other):
+        again.restore(saved)
+        drive(again, 6, 3)
+        again.reset(mask=np.array([True, False, False, True]))
+        drive(again, 3, 9)
+        assert_same(again.read(), first)
+        np.testing.assert_array_equal(again.object_angular_velocity, velocity)
+    with pytest.raises(SimulationError, match=r"\(4, .*this simulator has \(2, "):
+        BatchSimulator(cube, 2, tactile=NOISY).restore(saved)
+
+
+def test_reset_of_some_leaves_the_others(cube: Scene) -> None:
+    sim = BatchSimulator(cube, 3, seed=0)
+    drive(sim, 4)
+    before = sim.read()
+    sim.reset(seed=50, mask=np.array([False, True, False]))
+    after = sim.read()
+    assert_same(after[0], before[0])
+    assert_same(after[2], before[2])
+    assert_same(after[1], BatchSimulator(cube, None, seed=51).read())
+    with pytest.raises(InvalidInput, match=r"mask has shape \(2,\)"):
+        sim.reset(mask=np.array([True, False]))
+
+
+def test_write_returns_what_is_sent(cube: Scene) -> None:
+    sim = BatchSimulator(cube, None)
+    sent = sim.write(np.full(15, 9.0))
+    np.testing.assert_allclose(sent, sim.hand.upper)
+    np.testing.assert_array_equal(sim.read().q_target, sent)
+    with pytest.raises(InvalidInput, match=r"q_target has shape \(14,\); expected \(15,\)"):
+        sim.write(np.zeros(14))
+    bad = np.zeros(15)
+    bad[4] = np.nan
+    with pytest.raises(InvalidInput, match=r"q_target is nan at \[4\]"):
+        sim.write(bad)
+
+
+def test_latency_delays_touch_only(cube: Scene) -> None:
+    now = BatchSimulator(cube, 2, seed=1)
+    for steps in (1, 3):
+        now.reset(seed=1)
+        late = BatchSimulator(cube, 2, seed=1, tactile=Tactile(latency=0.05 * steps))
+        readings = [now.read()]
+        for k in range(6):
+            drive(now, 1, k)
+            drive(late, 1, k)
+            readings.append(now.read())
+        np.testing.assert_array_equal(late.read().contact_force, readings[-1 - steps].contact_force)
+        np.testing.assert_array_equal(late.read().q, readings[-1].q)
+        np.testing.assert_allclose(late.read().age, 0.005 + 0.05 * steps)
+
+
+def test_noise_has_the_size_asked_for(cube: Scene) -> None:
+    truth = BatchSimulator(cube, 400, disturbance=0.0).read()
+    noisy = Tactile(position_noise=2e-3, normal_noise=0.05, force_noise=0.2)
+    felt = BatchSimulator(cube, 400, disturbance=0.0, tactile=noisy).read()
+    assert np.std(felt.contact_position - truth.contact_position) == pytest.approx(2e-3, rel=0.05)
+    assert np.std(felt.contact_force - truth.contact_force) == pytest.approx(0.2, rel=0.05)
+    cosine = np.einsum("nmk,nmk->nm", felt.contact_normal, truth.contact_normal)
+    tilt = np.arccos(np.minimum(cosine, 1.0))
+    # two axes, each of standard deviation 0.05
+    assert np.sqrt(np.mean(tilt**2)) == pytest.approx(0.05 * np.sqrt(2), rel=0.05)
+
+
+def test_an_object_on_the_palm_is_other_contact_and_weighs_what_it_should() -> None:
+    scene = Scene.build("dex5", "sphere", "up", object_mass=0.2, object_size=0.06)
+    sim = BatchSimulator(scene, 2)
+    wide_open = np.tile(scene.open_q, (2, 1))
+    lying = np.tile([0.0, 0.0, -0.014 + 0.03], (2, 1))  # the palm's top is at -0.014 m
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    sim.set_grasp(wide_open, wide_open, lying, upright)
+    np.testing.assert_array_equal(sim.start_position, lying)
+    for _ in range(30):
+        sim.step()
+    np.testing.assert_allclose(sim.other_contact, 0.2 * 9.81, rtol=0.05)
+    assert not sim.read().in_contact.any()
+    with pytest.raises(InvalidInput, match="expected 1"):
+        sim.set_grasp(wide_open, wide_open, lying, 2 * upright)
+
+
+def test_parameters_of_each_environment(cube: Scene) -> None:
+    sim = BatchSimulator(cube, 3, seed=0)
+    plain = BatchSimulator(cube, 3, seed=0)
+    saved = sim.save()
+    sim.set_parameters(friction=np.array([1.0, 0.01, 1.0]), object_mass=np.array([0.1, 0.1, 0.3]))
+    for _ in range(10):
+        sim.step()
+        plain.step()
+    assert_same(sim.read()[0], plain.read()[0])
+    height, usual = sim.read().object_position, plain.read().object_position
+    assert height is not None
+    assert usual is not None
+    assert height[1, 2] < usual[1, 2] - 0.03  # it slips out
+    assert height[2, 2] < usual[2, 2] - 1e-4  # it hangs lower
+    sim.restore(saved)
+    assert sim.parameters == {}
+    with pytest.raises(UnknownName, match="unknown parameter 'colour'; known: friction"):
+        sim.set_parameters(colour=1.0)
+    with pytest.raises(InvalidInput, match=r"kp is -1.0; expected finite numbers > 0"):
+        sim.set_parameters(kp=np.array([1.0, -1.0, 2.0]))
+    with pytest.raises(InvalidInput, match=r"kp has shape \(2,\); expected \(\) or \(3,\)"):
+        sim.set_parameters(kp=np.ones(2))
+
+
+def test_divergence_is_seen_and_stays_where_it_is(
+    cube: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log file where it stands
+    healthy = BatchSimulator(cube, 4, seed=0, threads=2)
+    sim = BatchSimulator(cube, 4, seed=0, threads=2)
+    drive(sim, 2)
+    drive(healthy, 2)
+    sim.set_parameters(kv=0.15)
+    broken = sim._parameters.models[1]  # its servos push away from their set-points
+    broken.actuator_forcelimited[:] = 0
+    broken.actuator_biasprm[:, 1] = 1e14
+    last = sim.read()[1]
+    drive(sim, 5, 2)
+    drive(healthy, 5, 2)
+    np.testing.assert_array_equal(sim.diverged, [False, True, False, False])
+    np.testing.assert_allclose(sim.time, [0.35, 0.1, 0.35, 0.35])
+    state = sim.read()
+    np.testing.assert_array_equal(state.q[1], last.q)
+    assert not state.in_contact[1].any()
+    for i in (0, 2, 3):
+        assert_same(state[i], healthy.read()[i])
+    sim.reset(mask=sim.diverged)
+    assert not sim.diverged.any()
+
+
+def test_groups_are_their_simulators_side_by_side(cube: Scene) -> None:
+    sphere = Scene.build("dex5", "sphere", "up")
+    both = GroupedSimulator([(cube, 2), (sphere, 3)], seed=10)
+    parts = [BatchSimulator(cube, 2, seed=10), BatchSimulator(sphere, 3, seed=12)]
+    assert both.objects == ("cube", "cube", "sphere", "sphere", "sphere")
+    saved = both.save()
+    for sim in (both, *parts):
+        drive(sim, 4)
+    state = both.read()
+    assert_same(state[:2], parts[0].read())
+    assert_same(state[2:], parts[1].read())
+    assert both.start_position.shape == (5, 3)
+    both.restore(saved)
+    drive(both, 4)
+    assert_same(both.read(), state)
+    both.set_parameters(friction=np.linspace(0.5, 1, 5), kp=3.0)
+    np.testing.assert_allclose(both.groups[1].parameters["friction"], [0.75, 0.875, 1.0])
+    both.reset(seed=10, mask=np.array([False, False, False, True, False]))
+    assert_same(both.read()[3], BatchSimulator(sphere, None, seed=13).read())
+    with pytest.raises(InvalidInput, match="no groups"):
+        GroupedSimulator([])
+
+
+def test_bad_numbers_and_a_closed_simulator(cube: Scene) -> None:
+    wrong: list[tuple[str, Any]] = [
+        ("num_envs", 0),
+        ("num_envs", 2.5),
+        ("substeps", 0),
+        ("threads", 0),
+        ("control_period", np.nan),
+        ("disturbance", -0.1),
+    ]
+    for name, value in wrong:
+        with pytest.raises(InvalidInput, match=f"{name} is {value}"):
+            BatchSimulator(cube, **{name: value})
+    with pytest.raises(InvalidInput, match="Tactile.latency is -1"):
+        Tactile(latency=-1)
+    with BatchSimulator(cube, 2) as sim:
+        sim.step()
+    with pytest.raises(SimulationError, match="closed"):
+        sim.step()
+
+
+def test_control_rate_changes_only_what_it_must(cube: Scene) -> None:
+    fast = BatchSimulator(cube, None, control_period=0.025, substeps=5, disturbance=0.0)
+    slow = BatchSimulator(cube, None, control_period=0.05, substeps=10, disturbance=0.0)
+    for _ in range(20):
+        fast.step()
+        fast.step()
+        slow.step()
+    assert fast.time == pytest.approx(float(slow.time))
+    np.testing.assert_allclose(fast.read().q, slow.read().q, atol=1e-5)

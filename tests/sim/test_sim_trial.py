@@ -1,0 +1,91 @@
+"""Trials: the protocol, and rotation by hand-computed numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dexctl.controller import Controller
+from dexctl.exceptions import InvalidInput
+from dexctl.sim import BatchSimulator, Scene, run
+from dexctl.sim.trial import rotation_about_z
+from dexctl.state import Floats, GraspState
+
+
+class Hold(Controller):
+    """Leaves the set-points where they are."""
+
+    def reset(self, seed=None, mask=None) -> None:
+        pass
+
+    def act(self, state: GraspState) -> Floats:
+        self._diagnostics = {"force": state.contact_force.sum(-1), "name": "hold", "one": 1.0}
+        return np.zeros_like(state.q)
+
+
+def about(axis: int, angle: float) -> np.ndarray:
+    quaternion = np.zeros(4)
+    quaternion[0], quaternion[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
+    return quaternion
+
+
+def test_rotation_unwraps_and_ignores_tilt() -> None:
+    turning = np.array([about(2, 0.5 * k) for k in range(40)])
+    np.testing.assert_allclose(rotation_about_z(turning), 0.5 * np.arange(40), atol=1e-9)
+    np.testing.assert_allclose(rotation_about_z(-turning), 0.5 * np.arange(40), atol=1e-9)
+    tilting = np.array([about(0, 0.1 * k) for k in range(10)])
+    np.testing.assert_allclose(rotation_about_z(tilting), 0.0, atol=1e-12)
+
+
+def test_rotation_stands_still_after_the_drop() -> None:
+    quaternion = np.array([about(2, -0.3 * k) for k in range(6)])[:, None].repeat(2, axis=1)
+    held = np.ones((6, 2), bool)
+    held[3:, 1] = False
+    angle = rotation_about_z(quaternion, held)
+    np.testing.assert_allclose(angle[:, 0], -0.3 * np.arange(6), atol=1e-9)
+    np.testing.assert_allclose(angle[:, 1], [0, -0.3, -0.6, -0.6, -0.6, -0.6], atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [None, 3])
+def test_a_held_object(count: int | None) -> None:
+    scene = Scene.build("dex5", "cube")
+    sim, controller = BatchSimulator(scene, count), Hold(scene.hand)
+    seen: list[float] = []
+    trace = run(controller, sim, 1.0, record=lambda s: seen.append(float(np.max(s.time))))
+    batch = () if count is None else (count,)
+    np.testing.assert_allclose(trace.time, 0.05 * np.arange(21))
+    np.testing.assert_allclose(seen, trace.time)
+    assert trace.q.shape == (21, *batch, 15)
+    assert trace.contact_normal.shape == (21, *batch, 5, 3)
+    assert trace.held.shape == trace.rotation.shape == trace.other_contact.shape == (21, *batch)
+    assert not np.any(trace.dropped)
+    np.testing.assert_allclose(trace.time_held, 1.0)
+    assert np.abs(trace.final_rotation).max() < 0.1
+    names = {"force"} if count else {"force", "one"}
+    assert set(trace.diagnostics) == names
+    np.testing.assert_allclose(trace.diagnostics["force"], trace.contact_force[:-1].sum(-1))
+    assert trace.act_seconds.shape == (20,)
+
+
+def test_a_dropped_object() -> None:
+    scene = Scene.build("dex5", "cylinder", "down")
+    sim = BatchSimulator(scene, 2)
+    sim.set_parameters(friction=np.array([0.0, 1.0]))
+    trace = run(Hold(scene.hand), sim, 1.0)
+    np.testing.assert_array_equal(trace.dropped, [True, False])
+    # free fall of 0.05 m takes 0.1 s; fingers without friction hold it back a little
+    assert 0.05 <= trace.time_held[0] <= 0.5
+    assert trace.time_held[1] == pytest.approx(1.0)
+    away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
+    np.testing.assert_array_equal(trace.held[:, 0], np.logical_and.accumulate(away[:, 0] <= 0.05))
+    last = int(trace.held[:, 0].sum()) - 1
+    assert (trace.rotation[last:, 0] == trace.rotation[last, 0]).all()
+
+
+def test_what_does_not_fit() -> None:
+    scene = Scene.build("dex5", "cube")
+    sim = BatchSimulator(scene)
+    with pytest.raises(InvalidInput, match=r"control_period is 0.02 s and the simulator's 0.05"):
+        run(Hold(scene.hand, control_period=0.02), sim, 1.0)
+    with pytest.raises(InvalidInput, match="seconds is 0.01"):
+        run(Hold(scene.hand), sim, 0.01)
