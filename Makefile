@@ -6,6 +6,7 @@ JOBS ?= 2
 
 bin := $(VENV)/bin
 stamp := $(VENV)/.installed
+benchmarks = $(filter-out %/common.py %/__init__.py,$(sort $(wildcard benchmarks/*.py)))
 
 .PHONY: help demo test test-slow lint format bench docs venv clean
 .DEFAULT_GOAL := help
@@ -49,7 +50,7 @@ format: $(stamp)
 	$(bin)/ruff format .
 
 bench: $(stamp)
-	$(bin)/python -m benchmarks
+	@for script in $(benchmarks); do echo "$$script"; $(bin)/python $$script || exit 1; done
 
 docs: $(stamp)
 	$(bin)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

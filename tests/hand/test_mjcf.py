@@ -126,6 +126,12 @@ def test_a_joint_without_a_master_is_held(tmp_path: Path) -> None:
     )
 
 
+def test_a_finger_all_of_whose_joints_are_held_is_an_error(tmp_path: Path) -> None:
+    held = "".join(f'<joint joint1="{name}"/>' for name in ("wrist", "b_flex", "b_tied"))
+    with pytest.raises(HandModelError, match="every joint above the fingertip 'b_tip' is held"):
+        HandModel.from_mjcf(mjcf(tmp_path / "hand.xml", equality=held), TIPS)
+
+
 def test_a_master_may_be_on_no_finger(tmp_path: Path) -> None:
     path = mjcf(
         tmp_path / "hand.xml",
