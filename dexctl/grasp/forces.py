@@ -23,8 +23,12 @@ from dexctl.state import Bools, Floats
 
 BALANCE = 1e-6
 """Share of the external wrench that feasible forces may leave unbalanced."""
-_ACCURACY = 1e-9
-_MAX_ITERATIONS = 2000
+_ACCURACY = 1e-8
+_MAX_ITERATIONS = 40
+_MAX_INNER_ITERATIONS = 100
+_EFFORT_SHARE = 3e-4  # weight of the effort beside the wrench left over
+_MAX_ROUNDS = 20
+_SETTLED = 1e-8
 _LEAST_FRICTION = 1e-3  # weight floor, so that frictionless contacts leave no direction free
 
 
@@ -172,55 +176,53 @@ def _least_effort(
 ) -> Floats:
     """Scaled contact forces ``(k, c)`` whose wrench is ``target`` (6,), or as near as can be.
 
-    Two QPs: the least wrench left over (always feasible: no forces are), and, where that is
-    nothing, the least effort among the forces that balance.
+    What is left over has six variables of its own: no forces at all are always feasible, and
+    the Hessian stays diagonal (ProxQP takes a minute over the singular G'G, and calls some
+    feasible equalities infeasible). The effort has a small weight beside it, whose effect the
+    method of multipliers takes away: what is left over is asked for again on top.
     """
+    import proxsuite  # here, so that importing dexctl does not load it
+
     k, _, columns = maps.shape
-    grasp = np.swapaxes(maps, 0, 1).reshape(6, k * columns)
+    count = k * columns
+    grasp = np.swapaxes(maps, 0, 1).reshape(6, count)
     matrix = np.vstack([np.kron(np.eye(k), rows), limit[0]])
     upper = np.concatenate([np.zeros(k * len(rows)), limit[1]])
     lower = np.concatenate([np.full(k * len(rows), -1e20), -limit[1]])
     if max_normal is not None:
-        normal = np.zeros((k, k * columns))
+        normal = np.zeros((k, count))
         normal[np.arange(k), np.arange(k) * columns + 2] = 1.0
         matrix = np.vstack([matrix, normal])
         upper = np.concatenate([upper, np.full(k, max_normal)])
         lower = np.concatenate([lower, np.full(k, -1e20)])
-    matrix = np.asarray(matrix, float)
-    effort = np.diag(weight.ravel() ** 2)
-    none = np.zeros((0, k * columns)), np.zeros(0)
-    nearest = _solve(
-        grasp.T @ grasp + 1e-9 * effort, -grasp.T @ target, *none, matrix, lower, upper
-    )
-    if np.linalg.norm(grasp @ nearest - target) > 1e-4:
-        return nearest.reshape(k, columns)
-    least = _solve(effort, np.zeros(k * columns), grasp, target, matrix, lower, upper)
-    off, near_off = (np.linalg.norm(grasp @ x - target) for x in (least, nearest))
-    inside = (matrix @ least <= upper + 1e-6).all() and (matrix @ least >= lower - 1e-6).all()
-    keep = least if inside and off <= max(near_off, BALANCE / 2) else nearest
-    return keep.reshape(k, columns)
-
-
-def _solve(
-    hessian: Floats,
-    linear: Floats,
-    equality: Floats,
-    value: Floats,
-    matrix: Floats,
-    lower: Floats,
-    upper: Floats,
-) -> Floats:
-    """One ProxQP solve from cold, with its iterations capped; zeros if it comes to nothing."""
-    import proxsuite  # here, so that importing dexctl does not load it
-
-    qp = proxsuite.proxqp.dense.QP(len(linear), len(value), len(upper))
+    qp = proxsuite.proxqp.dense.QP(count + 6, 6, len(upper))
     qp.settings.eps_abs = _ACCURACY
     qp.settings.max_iter = _MAX_ITERATIONS
+    qp.settings.max_iter_in = _MAX_INNER_ITERATIONS
+    # Its warm start before a first solve crashes the process.
     qp.settings.initial_guess = proxsuite.proxqp.InitialGuess.NO_INITIAL_GUESS
-    qp.init(hessian, linear, equality, value, matrix, lower, upper)
-    qp.solve()
-    found = np.array(qp.results.x)
-    return found if np.isfinite(found).all() else np.zeros(len(linear))
+    qp.init(
+        np.diag(np.concatenate([_EFFORT_SHARE * weight.ravel() ** 2, np.ones(6)])),
+        np.zeros(count + 6),
+        np.hstack([grasp, -np.eye(6)]),
+        target,
+        np.hstack([matrix, np.zeros((len(matrix), 6))]),
+        lower,
+        upper,
+    )
+    asked, forces = target, np.zeros(count)
+    for _ in range(_MAX_ROUNDS):
+        qp.solve()
+        found = np.array(qp.results.x)[:count]
+        if not np.isfinite(found).all():
+            break
+        change, forces = np.abs(found - forces).max(), found
+        if change < _SETTLED:
+            break
+        asked = asked + (target - grasp @ forces)
+        qp.settings.initial_guess = proxsuite.proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+        qp.update(b=asked)
+    return forces.reshape(k, columns)
 
 
 def _finite(value: ArrayLike, name: str, tail: tuple[int, ...], batch: tuple[int, ...]) -> Floats:

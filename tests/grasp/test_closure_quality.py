@@ -57,7 +57,9 @@ def test_fingers_that_push_the_same_way_do_not_close():
     position = np.array([[0.03, 0, 0], [-0.02, 0.02, 0], [-0.02, -0.02, 0], [0.0, 0.01, 0]])
     normal = np.tile([0, 0, 1.0], (4, 1))
     for model in ("hard", "soft"):
-        assert not is_force_closure(position, normal, np.ones(4, bool), np.zeros(3), 1.0, model=model)
+        assert not is_force_closure(
+            position, normal, np.ones(4, bool), np.zeros(3), 1.0, model=model
+        )
 
 
 @pytest.mark.parametrize(("friction", "closed"), [(0.55, False), (0.62, True)])
@@ -149,7 +151,9 @@ def test_batches_give_what_each_gives_alone(soft):
             for p, n, t in zip(position, normal, touch, strict=True)
         ]
         np.testing.assert_allclose(many, alone, atol=1e-9)
-    assert is_force_closure(position[:, :0], normal[:, :0], touch[:, :0], np.zeros(3), 0.5).shape == (12,)
+    assert is_force_closure(
+        position[:, :0], normal[:, :0], touch[:, :0], np.zeros(3), 0.5
+    ).shape == (12,)
     assert is_force_closure(position[:0], normal[:0], touch[:0], np.zeros(3), 0.5).shape == (0,)
 
 

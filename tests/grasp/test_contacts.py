@@ -67,7 +67,9 @@ def test_masked_fingers_are_zero_and_never_read():
     position[1], normal[1] = np.nan, np.nan
     masked = grasp_map(position, np.zeros(3), [True, False, True], normal, "soft")
     np.testing.assert_array_equal(masked[:, 4:8], 0)
-    np.testing.assert_array_equal(np.delete(masked, range(4, 8), 1), np.delete(whole, range(4, 8), 1))
+    np.testing.assert_array_equal(
+        np.delete(masked, range(4, 8), 1), np.delete(whole, range(4, 8), 1)
+    )
 
 
 def test_hand_jacobian_stacks_and_masks():
