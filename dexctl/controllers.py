@@ -103,9 +103,7 @@ def entry(name: str) -> ControllerEntry:
     return _CONTROLLERS[name]
 
 
-def make(
-    name: str, hand: HandModel, *, control_period: float = 0.05, **options: Any
-) -> Controller:
+def make(name: str, hand: HandModel, *, control_period: float = 0.05, **options: Any) -> Controller:
     """The controller ``name`` for ``hand``.
 
     Args:

@@ -16,7 +16,7 @@ OK, FAILED, BAD_ARGUMENTS, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``dexctl`` with the arguments ``argv`` (default: the process's); returns the exit code."""
+    """Run ``dexctl`` with ``argv`` (default: the process's arguments); returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
         code = _dispatch(arguments)
@@ -72,7 +72,7 @@ def _overview() -> str:
         "commands:",
         *(f"  {name:<13} {entry.summary}" for name, entry in commands().items()),
         "",
-        "`dexctl <command> --help` lists a command's options; `dexctl --version` says which this is.",
+        "`dexctl <command> --help` lists its options; `dexctl --version` says which this is.",
         "Exit codes: 0 fine, 1 failed, 2 bad arguments, 130 interrupted.",
     ]
     return "\n".join(lines)

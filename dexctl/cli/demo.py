@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -12,8 +11,15 @@ import numpy as np
 
 from dexctl.cli.output import notes, print_json, progress, results
 from dexctl.cli.parsing import check_seconds, make_folder
-from dexctl.cli.trials import CONTROL_PERIOD, SceneOptions, make_controller, run_trials
-from dexctl.exceptions import MissingExtra, SimulationError
+from dexctl.cli.trials import (
+    CONTROL_PERIOD,
+    SceneOptions,
+    captions,
+    check_viz,
+    make_controller,
+    run_trials,
+)
+from dexctl.exceptions import SimulationError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,10 +28,11 @@ if TYPE_CHECKING:
     from dexctl.sim import Scene
     from dexctl.sim.record import Recorder
 
-CONTROLLERS = ("igm", "hold", "coordinated")
+CONTROLLERS = ("igm", "switch", "gait", "coordinated")
 KEY_FRAMES, PICTURE_FRAMES = 4, 6
+_NAMED = ("report.html", "picture.png", "demo.mp4")
 FPS, VIDEO_SIZE, STILL_SIZE = 15.0, (640, 480), (800, 600)
-DRAWING_BUDGET = 80.0  # a slower machine draws fewer pictures a second, to be done in this time [s]
+DRAWING_BUDGET = 90.0  # a slower machine draws fewer pictures a second, to be done in this time [s]
 AFTER_DROP = 1.5  # the film goes on for so long after a drop [s]
 
 
@@ -52,7 +59,7 @@ class Demo(SceneOptions):
 
     def run(self) -> int:
         check_seconds(self.seconds, CONTROL_PERIOD)
-        _check_extra()
+        check_viz("dexctl demo")
         folder = make_folder(self.out)
         scene = self.build_scene()
         work = _Work(self, folder, scene)
@@ -72,7 +79,10 @@ class Demo(SceneOptions):
         if self.json:
             print_json(work.as_dict())
         else:
-            results().print("\n".join(f"{path}" for path in work.files), soft_wrap=True)
+            named = [path.name for path in work.files if path.name in _NAMED]
+            frames = len(work.files) - len(named)
+            also = f" and {frames} key frames" if frames else ""
+            results().print(f"\nin {folder}: {', '.join(named)}{also}", soft_wrap=True)
         return 0
 
 
@@ -89,6 +99,7 @@ class _Work:
     files: list[Path] = field(default_factory=list)
     can_draw: bool = False
     drawing_time: float = 0.1  # of one picture [s]
+    document: str = ""
 
     def simulate(self) -> None:
         from dexctl.report.demo import Trial
@@ -98,6 +109,7 @@ class _Work:
 
         demo = self.demo
         with BatchSimulator(self.scene, None, CONTROL_PERIOD) as sim, progress(self.console) as bar:
+            demo.set_friction(sim)
             for name in CONTROLLERS:
                 task = bar.add_task(f"simulating {name}", total=demo.seconds)
                 controller, film = make_controller(name, self.scene), Film()
@@ -112,6 +124,7 @@ class _Work:
                 self.trials[name] = Trial(name, trace, summarise(trace), film)
 
     def print_table(self) -> None:
+        from rich.markup import escape
         from rich.table import Table
 
         from dexctl.report.demo import HEADINGS, row
@@ -122,10 +135,10 @@ class _Work:
             f"[bold]{demo.hand} turns a {demo.object}, palm {demo.gravity}: one trial of "
             f"{demo.seconds:g} s each, seed {demo.seed}[/bold]"
         )
-        table = Table()
-        for heading in HEADINGS:
-            left = heading == HEADINGS[0]
-            table.add_column(heading.replace("[", r"\["), justify="left" if left else "right")
+        table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+        for i, lines in enumerate(HEADINGS):
+            justify = "right" if i else "left"
+            table.add_column(escape("\n".join(lines)), justify=justify, no_wrap=True)
         for trial in self.trials.values():
             table.add_row(*row(trial))
         console.print(table)
@@ -144,7 +157,6 @@ class _Work:
         total = KEY_FRAMES * len(self.trials) + PICTURE_FRAMES
         with recorder, progress(self.console) as bar:
             task = bar.add_task("drawing key frames", total=total)
-            start = perf_counter()
             for trial in self.trials.values():
                 for i, time in enumerate(key_times(trial.trace, KEY_FRAMES)):
                     path = self.folder / f"{trial.name}_{i}.png"
@@ -154,11 +166,12 @@ class _Work:
                     self.files.append(path)
                     bar.advance(task)
             best = self.trials[CONTROLLERS[-1]]
+            start = perf_counter()
             for time in key_times(best.trace, PICTURE_FRAMES):
                 recorder(best.film.at(time))
                 self.stills[time] = recorder.picture()
                 bar.advance(task)
-            self.drawing_time = (perf_counter() - start) / total
+            self.drawing_time = (perf_counter() - start) / PICTURE_FRAMES
 
     def write_report(self, *remarks: str) -> None:
         from dexctl.report.demo import build
@@ -168,26 +181,30 @@ class _Work:
 
         self.console.print("writing the report", style="dim")
         demo, path = self.demo, self.folder / "report.html"
-        palm = f"palm {demo.gravity}" if demo.gravity in ("up", "down") else "gravity as below"
         setting = {**demo.describe(self.scene), "seconds": demo.seconds, "seed": demo.seed}
         document = build(
             self.trials,
-            setting={**setting, "palm": palm},
+            setting=setting,
             control_period=CONTROL_PERIOD,
-            command=_command(demo),
+            command=demo.command_line("demo"),
             machine=machine(),
             remarks=remarks,
         )
         write_text(path, document)
-        self.files.insert(0, path)
+        self.document = document
+        self.files.append(path)
         if self.stills:
             trial = self.trials[CONTROLLERS[-1]]
             title = f"{demo.hand} turning a {demo.object}: coordinated gait, no learning"
             path = self.folder / "picture.png"
             write_bytes(path, compose(trial.trace, self.stills, title))
-            self.files.insert(1, path)
+            self.files.append(path)
 
     def draw_video(self) -> None:
+        from dexctl.report.files import write_text
+        from dexctl.report.html import with_video
+        from dexctl.report.style import title_of
+
         path = self.folder / "demo.mp4"
         lengths = {
             name: min(self.demo.seconds, trial.summary.time_held + AFTER_DROP)
@@ -206,11 +223,13 @@ class _Work:
                 task = bar.add_task(f"drawing {name}", total=lengths[name])
                 trial.film.play(
                     recorder,
-                    _captions(trial),
+                    captions(title_of(name), trial.trace),
                     until=lengths[name],
                     progress=lambda now, task=task: bar.update(task, completed=now),
                 )
-        self.files.insert(1, path)
+        self.files.append(path)
+        title = "Each controller turning the object, one after the other"
+        write_text(self.folder / "report.html", with_video(self.document, path.read_bytes(), title))
 
     def as_dict(self) -> dict[str, Any]:
         from dexctl.report.machine import machine
@@ -226,40 +245,7 @@ class _Work:
             "machine": machine(),
         }
 
-    def _recorder(
-        self, path: Path | None, size: tuple[int, int], fps: float = FPS
-    ) -> Recorder:
+    def _recorder(self, path: Path | None, size: tuple[int, int], fps: float = FPS) -> Recorder:
         from dexctl.sim.record import Recorder
 
         return Recorder(self.scene, path, fps=fps, width=size[0], height=size[1])
-
-
-def _captions(trial: Trial) -> Any:
-    from dexctl.report.style import title_of
-
-    title, trace = title_of(trial.name), trial.trace
-
-    def caption(i: int) -> str:
-        state = "" if trace.held[i] else "  dropped"
-        return f"{title}   {trace.time[i]:4.1f} s   {trace.rotation[i]:5.2f} rad{state}"
-
-    return caption
-
-
-def _check_extra() -> None:
-    """The demo's report is drawn with matplotlib: say so before anything is simulated."""
-    from importlib.util import find_spec
-
-    if find_spec("matplotlib") is None or find_spec("imageio") is None:
-        raise MissingExtra("dexctl demo", "viz")
-
-
-def _command(demo: Demo) -> str:
-    """What to type to get the same again."""
-    words = ["dexctl", "demo"]
-    for name, default in Demo().__dict__.items():
-        value = getattr(demo, name)
-        if name != "json" and value != default:
-            option = f"--{name.replace('_', '-')}"
-            words += [option] if value is True else [option, str(value)]
-    return shlex.join(words)

@@ -35,12 +35,12 @@ class Hands:
 
         table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
         for heading in ("hand", "fingers", "joints", "files", "description"):
-            table.add_column(heading, justify="right" if heading in ("fingers", "joints") else "left")
+            table.add_column(
+                heading, justify="right" if heading in ("fingers", "joints") else "left"
+            )
         for name, about in found.items():
             joints = "?" if about["joints"] is None else str(about["joints"])
-            table.add_row(
-                name, str(about["fingers"]), joints, about["files"], about["description"]
-            )
+            table.add_row(name, str(about["fingers"]), joints, about["files"], about["description"])
         results().print(table)
         return 0
 

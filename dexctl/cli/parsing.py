@@ -72,7 +72,7 @@ def check_count(option: str, value: int) -> int:
 
 
 def parse_gravity(text: str) -> str | tuple[float, ...]:
-    """ "up" and "down" as they are (the simulator knows them), "x,y,z" as numbers [m/s^2]."""
+    """Numbers [m/s^2] of "x,y,z"; "up" and "down" stay, the simulator knows them."""
     parts = text.split(",")
     if len(parts) == 1:
         return text

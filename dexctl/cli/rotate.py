@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
-from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dexctl import controllers
 from dexctl.cli.output import notes, print_json, progress, results, to_json
 from dexctl.cli.parsing import check_count, check_seconds, make_folder
-from dexctl.cli.trials import CONTROL_PERIOD, SceneOptions, make_controller, run_trials
+from dexctl.cli.trials import (
+    CONTROL_PERIOD,
+    SceneOptions,
+    captions,
+    check_viz,
+    make_controller,
+    run_trials,
+)
+from dexctl.exceptions import InvalidInput
 
 if TYPE_CHECKING:
-    from dexctl.report.summary import BatchSummary, Share
+    from dexctl.report.film import Film
+    from dexctl.report.summary import BatchSummary
     from dexctl.sim import Scene, Trace
 
 
@@ -41,48 +51,65 @@ class Rotate(SceneOptions):
     video: bool = False
     """Record the first trial to rotate.mp4 (wants --out and an OpenGL)."""
     viewer: bool = False
-    """Show the first trial in MuJoCo's viewer (wants a display); closing it ends the run."""
+    """Show the first trial in MuJoCo's viewer, in real time (wants a display)."""
 
     def run(self) -> int:
         check_seconds(self.seconds, CONTROL_PERIOD)
         check_count("--num-envs", self.num_envs)
         controllers.entry(self.controller)
         if self.video and self.out is None:
-            from dexctl.exceptions import InvalidInput
-
             raise InvalidInput("--video is given without --out; expected a folder for rotate.mp4")
+        if self.out is not None:
+            check_viz("dexctl rotate --out")
         folder = None if self.out is None else make_folder(self.out)
         scene = self.build_scene()
-        trace, frames = self._simulate(scene)
+        from dexctl.report.film import Film
         from dexctl.report.summary import summarise_batch
 
+        film = Film()
+        trace = self._simulate(scene, film)
         summary = summarise_batch(trace)
         found = self._as_dict(scene, summary)
         if folder is not None:
-            self._write(folder, scene, trace, found)
+            self._write(folder, scene, trace, summary, found)
         if self.json:
             print_json(found)
         else:
             self._print(summary)
+        if folder is not None and self.video:
+            self._draw(folder, scene, trace, film)
         return 0
 
-    def _simulate(self, scene: Scene) -> tuple[Trace, list[Any]]:
+    def _simulate(self, scene: Scene, film: Film) -> Trace:
         from dexctl.sim import BatchSimulator
 
         controller = make_controller(self.controller, scene)
-        with (
-            BatchSimulator(scene, self.num_envs, control_period=CONTROL_PERIOD) as sim,
-            progress(notes()) as bar,
-        ):
+        console = notes()
+        with ExitStack() as stack:
+            watch: list[Callable[[Any], None]] = []
+            if self.video:
+                watch.append(film)
+            if self.viewer:
+                from dexctl.sim.viewer import Viewer
+
+                watch.append(stack.enter_context(Viewer(scene)))
+            sim = stack.enter_context(BatchSimulator(scene, self.num_envs, CONTROL_PERIOD))
+            self.set_friction(sim)
+
+            def look(now: Any) -> None:
+                for watcher in watch:
+                    watcher(now)
+
+            bar = stack.enter_context(progress(console))
             task = bar.add_task(f"{self.controller}, {self.num_envs} trials", total=self.seconds)
-            trace = run_trials(
+            return run_trials(
                 controller,
                 sim,
                 self.seconds,
                 self.seed,
+                record=look if watch else None,
                 progress=lambda now: bar.update(task, completed=now),
             )
-        return trace, []
 
     def _as_dict(self, scene: Scene, summary: BatchSummary) -> dict[str, Any]:
         from dexctl.report.machine import machine
@@ -98,54 +125,57 @@ class Rotate(SceneOptions):
             "machine": machine(),
         }
 
-    def _write(self, folder: Path, scene: Scene, trace: Trace, found: dict[str, Any]) -> None:
+    def _write(
+        self,
+        folder: Path,
+        scene: Scene,
+        trace: Trace,
+        summary: BatchSummary,
+        found: dict[str, Any],
+    ) -> None:
+        from dexctl.report import batch
         from dexctl.report.files import write_text
 
         write_text(folder / "rotate.json", to_json(found) + "\n")
+        document = batch.build(
+            self.controller,
+            trace,
+            summary,
+            setting={**self.describe(scene), "seconds": self.seconds, "seed": self.seed},
+            control_period=CONTROL_PERIOD,
+            command=self.command_line("rotate"),
+            machine=found["machine"],
+        )
+        write_text(folder / "report.html", document)
+        notes().print(f"written: {folder / 'rotate.json'} and {folder / 'report.html'}")
+
+    def _draw(self, folder: Path, scene: Scene, trace: Trace, film: Film) -> None:
+        from dexctl.sim.record import Recorder
+
+        console, path = notes(), folder / "rotate.mp4"
+        caption = captions(controllers.entry(self.controller).title, trace)
+        with (
+            Recorder(scene, path, width=640, height=480) as recorder,
+            progress(console) as bar,
+        ):
+            task = bar.add_task("drawing the first trial", total=self.seconds)
+            film.play(recorder, caption, progress=lambda now: bar.update(task, completed=now))
+        console.print(f"written: {path}")
 
     def _print(self, summary: BatchSummary) -> None:
         from rich.table import Table
 
-        from dexctl.report.summary import percentiles
+        from dexctl.report.batch import figures_of_merit
 
-        what = f"{self.controller} turns {self.object} with {self.hand}, palm {self.gravity}"
-        table = Table(
-            title=f"{what}: {self.num_envs} trials of {self.seconds:g} s, from seed {self.seed}",
-            title_justify="left",
-            title_style="bold",
-        )
-        for heading, justify in (("", "left"), ("median", "right"), ("10 % to 90 %", "right")):
-            table.add_column(heading, justify=justify)  # type: ignore[arg-type]
-        for name, values, unit in (
-            ("rotation", summary.rotation, "rad"),
-            ("time held", summary.time_held, "s"),
-        ):
-            spread = percentiles(values)
-            table.add_row(
-                f"{name} [{unit}]".replace("[", r"\["),
-                f"{spread['median']:.2f}",
-                f"{spread['p10']:.2f} to {spread['p90']:.2f}",
-            )
-        turns = percentiles(summary.rotation)["median"] / (2 * pi)
-        table.add_row("rotation in turns", f"{turns:.2f}", "")
+        title = controllers.entry(self.controller).title
         console = results()
-        console.print(table)
-        shares = Table(box=None, show_header=False, pad_edge=False)
-        shares.add_row("still holding", _share(summary.holding))
-        shares.add_row("made a full turn", _share(summary.full_turn))
-        shares.add_row("fingertips in touch", f"{summary.mean_contacts:.1f} on average")
-        shares.add_row(
-            "controller latency",
-            f"{1e3 * summary.latency_median:.2f} ms median, {1e3 * summary.latency_p99:.2f} ms p99, "
-            f"for {self.num_envs} hands",
+        console.print(
+            f"[bold]{title}: {self.hand} turns a {self.object}, palm {self.gravity}[/bold]\n"
+            f"{self.num_envs} trials of {self.seconds:g} s, seeds {self.seed} to "
+            f"{self.seed + self.num_envs - 1}; median (10 % to 90 %), share (95 % interval)\n",
+            soft_wrap=True,
         )
-        if summary.diverged:
-            shares.add_row("simulations broken down", str(summary.diverged))
-        console.print(shares)
-
-
-def _share(share: Share) -> str:
-    return (
-        f"{share.count} of {share.trials}, {100 * share.share:.0f} % "
-        f"(95 % interval {100 * share.low:.0f} to {100 * share.high:.0f} %)"
-    )
+        table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
+        for what, value in figures_of_merit(summary):
+            table.add_row(what, value)
+        console.print(table)

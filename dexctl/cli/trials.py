@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dexctl import controllers, hands
 from dexctl.cli.parsing import parse_gravity
-from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
+from dexctl.exceptions import InvalidInput, MissingExtra, SimulationError, UnknownName
 
 if TYPE_CHECKING:
     from dexctl.controller import Controller
@@ -62,9 +64,29 @@ class SceneOptions:
         scene.settled  # noqa: B018 (found once, and worth finding before anything else)
         return scene
 
+    def set_friction(self, sim: BatchSimulator) -> None:
+        """Give the object and the fingertips the friction asked for.
+
+        MuJoCo takes the larger coefficient of two bodies, so the object's alone could only add.
+        """
+        if self.friction != 1.0:
+            sim.set_parameters(friction=self.friction)
+
+    def command_line(self, name: str) -> str:
+        """What to type to get the same again."""
+        words = ["dexctl", name]
+        for option in fields(self):
+            value, default = getattr(self, option.name), option.default
+            if option.name == "json" or default is MISSING or value == default:
+                continue
+            flag = f"--{option.name.replace('_', '-')}"
+            words += [flag] if value is True else [flag, str(value)]
+        return shlex.join(words)
+
     def describe(self, scene: Scene) -> dict[str, Any]:
         """For JSON and reports."""
         return {
+            "palm": f"palm {self.gravity}" if self.gravity in ("up", "down") else "tilted palm",
             "hand": self.hand,
             "object": self.object,
             "gravity_m_s2": scene.gravity.tolist(),
@@ -72,6 +94,25 @@ class SceneOptions:
             "object_mass_kg": scene.object_mass,
             "friction": self.friction,
         }
+
+
+def check_viz(feature: str) -> None:
+    """Raise MissingExtra where plots and pictures cannot be made, before anything is simulated."""
+    if find_spec("matplotlib") is None or find_spec("imageio") is None:
+        raise MissingExtra(feature, "viz")
+
+
+def captions(title: str, trace: Trace, index: int = 0) -> Callable[[int], str]:
+    """The text in a video at control step i of one trial."""
+    rotation, held = trace.rotation, trace.held
+    if held.ndim == 2:
+        rotation, held = rotation[:, index], held[:, index]
+
+    def caption(i: int) -> str:
+        state = "" if held[i] else "   dropped"
+        return f"{title}   {trace.time[i]:4.1f} s   {rotation[i]:5.2f} rad{state}"
+
+    return caption
 
 
 def make_controller(name: str, scene: Scene) -> Controller:

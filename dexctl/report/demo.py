@@ -10,20 +10,22 @@ import numpy as np
 
 from dexctl import controllers
 from dexctl.report import figures, html
+from dexctl.report.conditions import conditions
 from dexctl.report.film import Film
 from dexctl.report.style import drawing, title_of
 from dexctl.report.summary import TrialSummary
 from dexctl.sim import Trace
 
 HEADINGS = (
-    "controller",
-    "rotation [rad]",
-    "time held [s]",
-    "fingertips in touch",
-    "largest residual [-]",
-    "latency, median [ms]",
-    "latency, p99 [ms]",
+    ("controller",),
+    ("rotation", "[rad]"),
+    ("time held", "[s]"),
+    ("mean in", "touch"),
+    ("largest", "residual"),
+    ("latency", "median", "[ms]"),
+    ("latency", "p99", "[ms]"),
 )
+"""Lines of each column's heading."""
 
 
 @dataclass
@@ -50,8 +52,8 @@ def row(trial: Trial) -> tuple[str, ...]:
     residual = "-" if found.largest_residual is None else f"{found.largest_residual:.3f}"
     return (
         title_of(trial.name),
-        f"{found.rotation:.2f}",
-        f"{found.time_held:.1f}" + (" (dropped)" if found.dropped else ""),
+        f"{found.rotation:.2f}".replace("-0.00", "0.00"),
+        f"{found.time_held:.1f}" + (", dropped" if found.dropped else ""),
         f"{found.mean_contacts:.1f}",
         residual,
         f"{1e3 * found.latency_median:.2f}",
@@ -91,7 +93,7 @@ def build(
             _overview(trials, traces),
             *(_trial_section(trial) for trial in trials.values()),
             _latency(traces, control_period),
-            _conditions(setting, control_period, command, machine),
+            conditions(setting, control_period, command, machine),
         ]
     title = f"{setting['hand']} turns a {setting['object']}"
     subtitle = (
@@ -104,7 +106,9 @@ def build(
 def _overview(trials: Mapping[str, Trial], traces: Mapping[str, Trace]) -> str:
     return html.section(
         "Results",
-        html.table(HEADINGS, [row(trial) for trial in trials.values()]),
+        html.table(
+            [" ".join(heading) for heading in HEADINGS], [row(trial) for trial in trials.values()]
+        ),
         html.paragraph(
             "Rotation is the unwrapped angle about the palm axis, up to the drop (centre more than "
             "0.05 m from its start) or the end. Fingertips in touch is the mean over the time "
@@ -113,6 +117,7 @@ def _overview(trials: Mapping[str, Trial], traces: Mapping[str, Trace]) -> str:
             "trial of each controller: `dexctl rotate` runs many.",
             "note",
         ),
+        html.VIDEO_PLACE,
         html.plot(
             figures.rotation_figure(traces),
             "Rotation over time, one line per controller",
@@ -152,35 +157,5 @@ def _latency(traces: Mapping[str, Trace], control_period: float) -> str:
             "Distribution of the controllers' latency",
             "Share of the calls that took at most so long, one hand, measured during the trials; "
             "other work on the machine shows in the tail.",
-        ),
-    )
-
-
-def _conditions(
-    setting: Mapping[str, Any], control_period: float, command: str, machine: Mapping[str, Any]
-) -> str:
-    gravity = ", ".join(f"{g:g}" for g in setting["gravity_m_s2"])
-    versions = ", ".join(f"{name} {number}" for name, number in machine["versions"].items())
-    width = setting["object_width_m"]
-    return html.section(
-        "Conditions",
-        html.facts(
-            [
-                ("command", command),
-                ("hand", str(setting["hand"])),
-                (
-                    "object",
-                    f"{setting['object']}, "
-                    + (f"{width:g} m wide, " if width else "")
-                    + f"{setting['object_mass_kg']:g} kg, friction {setting['friction']:g}",
-                ),
-                ("gravity", f"({gravity}) m/s²"),
-                ("seed", str(setting["seed"])),
-                ("control", f"{1 / control_period:g} Hz, 10 physics steps each"),
-                ("start", "settled grasp, set-points disturbed by N(0, 0.02 rad)"),
-                ("machine", f"{machine['processor']}, {machine['cores']} cores"),
-                ("system", f"{machine['system']}, Python {machine['python']}"),
-                ("versions", versions),
-            ]
         ),
     )

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dexctl.report.style import FAINT, INK, controller_line, finger_colour, new_figure, title_of
 from dexctl.report.summary import FULL_TURN, column, diagnostic
@@ -179,8 +180,8 @@ def _legend_above(axes: Axes) -> None:
 def _mark_drop(axes: Axes, trace: Trace, held: Bools) -> None:
     if held[-1]:
         return
-    at = trace.time[held.sum() - 1]
-    axes.axvspan(at, trace.time[-1], color="white", alpha=0.7, lw=0, zorder=3)
+    at, end = float(trace.time[held.sum() - 1]), float(trace.time[-1])
+    axes.axvspan(at, end, color="white", alpha=0.7, lw=0, zorder=3)
     axes.axvline(at, color=INK, lw=1.0, zorder=4)
     axes.annotate(
         " dropped",
@@ -199,9 +200,9 @@ def _spans(active: Bools, period: float) -> list[tuple[float, float]]:
     return [(a * period, (b - a) * period) for a, b in zip(starts, ends, strict=True)]
 
 
-def _to_turns(angle: np.ndarray) -> np.ndarray:
+def _to_turns(angle: ArrayLike) -> ArrayLike:
     return np.asarray(angle) / FULL_TURN
 
 
-def _to_radians(turns: np.ndarray) -> np.ndarray:
+def _to_radians(turns: ArrayLike) -> ArrayLike:
     return np.asarray(turns) * FULL_TURN

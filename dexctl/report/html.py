@@ -24,19 +24,23 @@ h3 { font-size: 1rem; margin: 1.6rem 0 .3rem; }
 p, figcaption { max-width: 46rem; }
 header p, figcaption, .note { color: var(--faint); }
 .scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; margin: .8rem 0; font-variant-numeric: tabular-nums; }
+table { border-collapse: collapse; width: 100%; margin: .8rem 0;
+  font-variant-numeric: tabular-nums; }
 th, td { padding: .35rem .7rem; text-align: right; border-bottom: 1px solid var(--line); }
 th { font-weight: 600; border-bottom: 2px solid var(--ink); vertical-align: bottom; }
-th:first-child, td:first-child { text-align: left; }
+th:first-child, td:first-child { text-align: left; white-space: nowrap; }
 table.facts { width: auto; } table.facts td { text-align: left; vertical-align: top; }
 table.facts td:first-child { color: var(--faint); white-space: nowrap; }
 figure { margin: 1rem 0; break-inside: avoid; }
-figure img { max-width: 100%; height: auto; display: block; }
+figure img { width: 100%; height: auto; display: block; }
+figure video { width: 100%; max-width: 40rem; display: block; }
+figcaption { margin-top: .3rem; }
 .strip { display: flex; gap: .4rem; } .strip figure { flex: 1; margin: .4rem 0; }
+.strip img { aspect-ratio: 1; object-fit: cover; }
 .strip figcaption { font-size: .85rem; }
 code { font: .92em ui-monospace, "DejaVu Sans Mono", Menlo, monospace; background: #f1f4f6;
   padding: .1em .3em; border-radius: 3px; }
-@media print { main { max-width: none; padding: 0; } h2 { break-after: avoid; }
+@media print { figure video { display: none; } main { max-width: none; padding: 0; } h2 { break-after: avoid; }
   body { font-size: 11px; } section { break-inside: avoid; } }
 """
 
@@ -97,9 +101,21 @@ def image(content: bytes, alt: str, caption: str = "", kind: str = "png") -> str
     """A picture file inside the page."""
     data = base64.b64encode(content).decode("ascii")
     below = f"<figcaption>{text(caption)}</figcaption>" if caption else ""
-    return (
-        f'<figure><img alt="{text(alt)}" src="data:image/{kind};base64,{data}">{below}</figure>'
+    return f'<figure><img alt="{text(alt)}" src="data:image/{kind};base64,{data}">{below}</figure>'
+
+
+VIDEO_PLACE = "<!-- video -->"
+"""Where `with_video` puts a video; nothing is seen of it until then."""
+
+
+def with_video(document: str, content: bytes, alt: str) -> str:
+    """The document with an mp4 file's content at `VIDEO_PLACE`."""
+    data = base64.b64encode(content).decode("ascii")
+    player = (
+        f'<figure><video controls muted loop aria-label="{text(alt)}" '
+        f'src="data:video/mp4;base64,{data}"></video></figure>'
     )
+    return document.replace(VIDEO_PLACE, player, 1)
 
 
 def strip(images: Iterable[str]) -> str:

@@ -12,6 +12,8 @@ from dexctl.report.style import controller_line, drawing, new_figure
 from dexctl.report.summary import column
 from dexctl.sim import Trace
 
+_CLOSE_UP = 0.82  # the part of the picture's height that is shown
+
 
 def compose(trace: Trace, pictures: Mapping[float, np.ndarray], title: str) -> bytes:
     """The picture as the content of a PNG file.
@@ -23,9 +25,10 @@ def compose(trace: Trace, pictures: Mapping[float, np.ndarray], title: str) -> b
     """
     rotation = column(trace.rotation)
     with drawing():
-        figure = new_figure(11.0, 5.6)
+        figure = new_figure(11.0, 5.4)
         figure.suptitle(title, x=0.012, ha="left", weight="bold", fontsize=13)
-        top, bottom = figure.subfigures(2, 1, height_ratios=(1.15, 1.7))
+        figure.get_layout_engine().set(h_pad=0.02, hspace=0.0)  # type: ignore[union-attr]
+        top, bottom = figure.subfigures(2, 1, height_ratios=(1.3, 1.7), squeeze=False)[:, 0]
         for axes, (time, picture) in zip(
             top.subplots(1, len(pictures), squeeze=False)[0], pictures.items(), strict=True
         ):
@@ -54,6 +57,6 @@ def compose(trace: Trace, pictures: Mapping[float, np.ndarray], title: str) -> b
 def _centre(picture: np.ndarray) -> np.ndarray:
     """The square in the middle of a picture, where the hand is."""
     height, width = picture.shape[:2]
-    side = min(height, width)
+    side = round(_CLOSE_UP * min(height, width))
     left, top = (width - side) // 2, (height - side) // 2
     return picture[top : top + side, left : left + side]

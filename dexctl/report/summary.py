@@ -161,9 +161,7 @@ def column(values: np.ndarray, index: int = 0, trailing: int = 0) -> np.ndarray:
     return values[:, index] if values.ndim - trailing == 2 else values
 
 
-def diagnostic(
-    trace: Trace, name: str, index: int = 0, trailing: int = 0
-) -> np.ndarray | None:
+def diagnostic(trace: Trace, name: str, index: int = 0, trailing: int = 0) -> np.ndarray | None:
     """A controller's diagnostic of one trial, ``(T, *trailing)``; None where it has none.
 
     A superposition's diagnostics carry the index of its part in front ("0.residual").

@@ -1,0 +1,99 @@
+"""The report of many trials of one controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dexctl.report import figures, html
+from dexctl.report.conditions import conditions
+from dexctl.report.style import drawing, title_of
+from dexctl.report.summary import BatchSummary, Share, percentiles
+from dexctl.sim import Trace
+
+
+def figures_of_merit(summary: BatchSummary) -> list[tuple[str, str]]:
+    """What the trials came to, as (what, value) for people."""
+    rotation, held = percentiles(summary.rotation), percentiles(summary.time_held)
+    rows = [
+        ("rotation", _spread(rotation, "rad")),
+        ("time held", _spread(held, "s")),
+        ("still holding", _share(summary.holding)),
+        ("made a full turn", _share(summary.full_turn)),
+        ("fingertips in touch", f"{summary.mean_contacts:.1f} on average while held"),
+        (
+            "controller latency",
+            f"{1e3 * summary.latency_median:.2f} ms median, "
+            f"{1e3 * summary.latency_p99:.2f} ms p99, for {len(summary.rotation)} hands at once",
+        ),
+    ]
+    if summary.diverged:
+        rows.append(("simulations broken down", f"{summary.diverged}, counted as dropped"))
+    return rows
+
+
+def build(
+    name: str,
+    trace: Trace,
+    summary: BatchSummary,
+    *,
+    setting: Mapping[str, Any],
+    control_period: float,
+    command: str,
+    machine: Mapping[str, Any],
+) -> str:
+    """The report as one HTML document.
+
+    Args:
+        name: the controller's.
+        trace: of N trials.
+        summary: of the same.
+        setting: hand, object, gravity, seed and so on.
+        control_period: [s].
+        command: what was typed.
+        machine: see `dexctl.report.machine`.
+    """
+    with drawing():
+        sections = [
+            html.section(
+                "Results",
+                html.facts(figures_of_merit(summary)),
+                html.paragraph(
+                    "Medians with 10th and 90th percentile over trials; shares with their 95 % "
+                    "Wilson interval. Rotation is the unwrapped angle about the palm axis, up to "
+                    "the drop (centre more than 0.05 m from its start) or the end.",
+                    "note",
+                ),
+                html.plot(
+                    figures.spread_figure(name, trace),
+                    "Rotation over time of every trial, with median and 10 to 90 % band",
+                    "Rotation over time of every trial; it stands still after a drop.",
+                ),
+            ),
+            html.section(
+                "The first trial",
+                html.plot(
+                    figures.trial_figure(trace),
+                    "Contacts, forces and residual of the first trial",
+                    "A bar while the fingertip touches. Colours are the same in both plots.",
+                ),
+            ),
+            conditions(setting, control_period, command, machine),
+        ]
+    title = f"{title_of(name)}: {setting['hand']} turns a {setting['object']}"
+    subtitle = (
+        f"{len(summary.rotation)} trials of {setting['seconds']:g} s, {setting['palm']}, "
+        f"seeds {setting['seed']} to {setting['seed'] + len(summary.rotation) - 1}"
+    )
+    return html.page(title[0].upper() + title[1:], subtitle, sections)
+
+
+def _spread(values: Mapping[str, float], unit: str) -> str:
+    return f"{values['median']:.2f} {unit} ({values['p10']:.2f} to {values['p90']:.2f})"
+
+
+def _share(share: Share) -> str:
+    return (
+        f"{share.count} of {share.trials}, {100 * share.share:.0f} % "
+        f"({100 * share.low:.0f} to {100 * share.high:.0f} %)"
+    )

@@ -1,0 +1,169 @@
+"""The commands as processes: what they print, and their exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def dexctl_command(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "dexctl", *arguments],
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def one_line(done: subprocess.CompletedProcess[str]) -> str:
+    """The one line on stderr that a refused command prints."""
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("dexctl: ")
+    return line
+
+
+def test_overview_lists_the_commands() -> None:
+    done = dexctl_command("--help")
+    assert done.returncode == 0
+    for name in ("demo", "rotate", "check-grasp", "hands"):
+        assert f"\n  {name} " in done.stdout
+    alone = dexctl_command()
+    assert alone.returncode == 2
+    assert alone.stdout == done.stdout
+
+
+@pytest.mark.parametrize("name", ["demo", "rotate", "check-grasp", "hands"])
+def test_each_command_explains_itself(name: str) -> None:
+    done = dexctl_command(name, "--help")
+    assert done.returncode == 0
+    assert f"usage: dexctl {name}" in done.stdout
+    assert "--json" in done.stdout
+
+
+def test_version() -> None:
+    assert dexctl_command("--version").stdout.startswith("dexctl ")
+
+
+def test_hands_are_listed_without_loading_them() -> None:
+    code = (
+        "import sys; from dexctl.cli import main; main(['hands']); "
+        "print([m for m in ('mujoco', 'casadi', 'torch', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "dex5" in done.stdout and "wonik_allegro" in done.stdout
+
+
+def test_hands_say_whether_their_files_are_here(menagerie: Path, tmp_path: Path) -> None:
+    found = json.loads(dexctl_command("hands", "--json", DEXCTL_MENAGERIE=str(menagerie)).stdout)
+    dex5, allegro = found["hands"]["dex5"], found["hands"]["wonik_allegro"]
+    assert (dex5["fingers"], dex5["joints"], dex5["files"]) == (5, 15, "built in")
+    assert (allegro["fingers"], allegro["joints"], allegro["files"]) == (4, 16, "here")
+    found = json.loads(dexctl_command("hands", "--json", DEXCTL_MENAGERIE=str(tmp_path)).stdout)
+    assert found["hands"]["wonik_allegro"]["files"] == "missing"
+
+
+def test_rotate_as_json() -> None:
+    arguments = ("rotate", "--controller", "igm", "--num-envs", "3", "--seconds", "0.5")
+    done = dexctl_command(*arguments, "--gravity", "0,0,-9.81", "--seed", "5", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)  # exactly one object, nothing beside it
+    assert found["seeds"] == [5, 7]
+    assert found["gravity_m_s2"] == [0, 0, -9.81]
+    assert found["holding"]["trials"] == len(found["trial_rotation_rad"]) == 3
+    assert found["rotation_rad"]["median"] > 0.05
+    assert found["time_held_s"]["median"] == pytest.approx(0.5)
+    # the same seeds give the same trials, alone or in a batch
+    again = dexctl_command(
+        *arguments[:3], "--num-envs", "1", "--seconds", "0.5", "--seed", "6", "--json"
+    )
+    alone = json.loads(again.stdout)["trial_rotation_rad"]
+    assert alone == pytest.approx(found["trial_rotation_rad"][1:2], abs=1e-6)
+
+
+def test_rotate_as_a_table_and_into_a_folder(tmp_path: Path) -> None:
+    done = dexctl_command(
+        "rotate", "--controller", "hold", "--num-envs", "2", "--seconds", "0.2",
+        "--out", str(tmp_path / "new" / "folder"),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "still holding" in done.stdout and "2 of 2, 100 % (34 to 100 %)" in done.stdout
+    folder = tmp_path / "new" / "folder"
+    assert sorted(path.name for path in folder.iterdir()) == ["report.html", "rotate.json"]
+    assert json.loads((folder / "rotate.json").read_text())["controller"] == "hold"
+
+
+def test_check_grasp() -> None:
+    done = dexctl_command("check-grasp", "--seconds", "0.5", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["contacts"] == [5]
+    assert (
+        found["force_closure"] == found["static"]["stable"] == found["dynamic"]["stable"] == [True]
+    )
+    assert found["epsilon_quality"][0] > 0.1
+    assert sum(finger["force_n"][0] for finger in found["fingers"]) > 5
+
+
+def test_check_grasp_fails_where_the_grasp_does() -> None:
+    done = dexctl_command("check-grasp", "--friction", "0.01", "--num-envs", "2")
+    assert done.returncode == 1
+    assert "0 of 2" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("fly", "unknown command 'fly'; known: demo, rotate, check-grasp, hands"),
+        ("rotate --hand claw", "unknown hand 'claw'; known: dex5, wonik_allegro"),
+        ("rotate --object ball", "unknown object 'ball'; known: cube, sphere, cylinder"),
+        ("rotate --controller walk", "unknown controller 'walk'; known: igm, switch, gait"),
+        ("rotate --gravity left", "unknown gravity 'left'; known: up, down"),
+        ("rotate --gravity 0,0", "expected up, down, or three numbers"),
+        ("rotate --gravity 0,0,nan", "expected up, down, or three numbers"),
+        ("rotate --seconds nan", "--seconds is nan; expected a finite number"),
+        ("rotate --seconds -1", "--seconds is -1.0"),
+        ("rotate --seconds long", "could not convert string to float: 'long'"),
+        ("rotate --num-envs -3", "--num-envs is -3; expected a whole number above 0"),
+        ("rotate --num-envs 2.5", "--num-envs"),
+        ("rotate --colour red", "Unrecognized options: --colour"),
+        ("rotate --object-size 0", "object_size is 0.0"),
+        ("rotate --friction nan", "friction is nan"),
+        ("rotate --video", "--video is given without --out"),
+        ("check-grasp --num-envs 0", "--num-envs is 0"),
+        ("check-grasp --object mesh", "a mesh file goes with object 'mesh' only"),
+        ("demo --seconds inf", "--seconds is inf"),
+        ("demo --out /proc/none/such", "--out is '/proc/none/such'; cannot write there"),
+    ],
+)
+def test_bad_arguments_get_one_line_and_code_2(arguments: str, said: str) -> None:
+    done = dexctl_command(*arguments.split())
+    assert done.returncode == 2, done.stderr
+    assert said in one_line(done)
+
+
+def test_a_failed_run_gets_one_line_and_code_1(tmp_path: Path) -> None:
+    done = dexctl_command("rotate", "--object-mass", "50")  # nothing holds 50 kg
+    assert done.returncode == 1
+    assert "does not hold 'cube'" in one_line(done)
+    done = dexctl_command("rotate", "--hand", "wonik_allegro", DEXCTL_MENAGERIE=str(tmp_path))
+    assert done.returncode == 1
+    assert "wonik_allegro" in one_line(done)

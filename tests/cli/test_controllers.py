@@ -1,0 +1,55 @@
+"""Controllers by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl import controllers
+
+
+def state_of(hand: dexctl.HandModel, batch: tuple[int, ...] = ()) -> dexctl.GraspState:
+    m = hand.n_fingers
+    return dexctl.GraspState(
+        q=np.zeros((*batch, hand.nq)),
+        q_target=np.full((*batch, hand.nq), 0.1),
+        in_contact=np.zeros((*batch, m), bool),
+        contact_position=np.zeros((*batch, m, 3)),
+        contact_normal=np.zeros((*batch, m, 3)),
+        contact_force=np.zeros((*batch, m)),
+    )
+
+
+@pytest.mark.parametrize("name", controllers.names())
+def test_each_name_makes_its_controller(name: str, dex5: dexctl.HandModel) -> None:
+    controller = controllers.make(name, dex5, control_period=0.02)
+    assert isinstance(controller, dexctl.Controller)
+    assert type(controller).__name__ == controllers.entry(name).attribute
+    assert controller.control_period == 0.02
+    assert controller.hand is dex5
+
+
+def test_options_reach_the_controller(dex5: dexctl.HandModel) -> None:
+    controller = controllers.make("igm", dex5, grip_force=1.5)
+    assert isinstance(controller, dexctl.InGraspManipulation)
+    assert controller.config.grip_force == 1.5
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_hold_keeps_the_set_points(dex5: dexctl.HandModel, batch: tuple[int, ...]) -> None:
+    hold = controllers.make("hold", dex5)
+    hold.reset(seed=1)
+    change = hold.act(state_of(dex5, batch))
+    assert change.shape == (*batch, 15)
+    assert not change.any()
+
+
+def test_an_unknown_name_gets_the_known_ones(dex5: dexctl.HandModel) -> None:
+    with pytest.raises(dexctl.UnknownName, match="'walk'; known: igm, switch, gait, coordinated"):
+        controllers.make("walk", dex5)
+
+
+def test_a_bad_option_is_named(dex5: dexctl.HandModel) -> None:
+    with pytest.raises(dexctl.InvalidInput, match="grip_force is -1"):
+        controllers.make("igm", dex5, grip_force=-1)
