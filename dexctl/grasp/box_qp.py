@@ -129,19 +129,22 @@ class BoxBatch:
         self.at = np.zeros(y.shape, np.int8)
         self.rise = np.zeros(y.shape[-1])
 
-    def solve(self, roof: Floats | None = None) -> None:
+    def solve(self, roof: Floats | None = None, *, keep_table: bool = False) -> None:
         """Pivot until every problem is solved; see :func:`solve_box`.
 
         Args:
             roof: ``(n,)``; problems whose ``rise`` is sure to end above it are left unsolved,
                 with a ``rise`` above it. None: all are solved.
+            keep_table: keep ``table`` up to date, for :meth:`shift`. Otherwise it is spoilt.
         """
         k, count = self.y.shape
-        live = np.arange(count)
-        table, y, at, rise = self.table, self.y, self.at, self.rise
-        lower, upper = self.lower, self.upper
-        movable = np.where(upper > lower, 1.0, 0.0)
+        live = everyone = np.arange(count)
+        table, rise = self.table, self.rise
+        # Side by side, so that one indexing takes the problems that are still open.
+        movable = np.where(self.upper > self.lower, 1.0, 0.0)
+        parts = np.stack([self.y, self.at.astype(float), self.lower, self.upper, movable])
         for step in range(_MAX_PIVOTS):
+            y, at, lower, upper, movable = parts
             wrong = at * y
             free = at == _FREE
             out = np.maximum(y - upper, lower - y)
@@ -150,29 +153,29 @@ class BoxBatch:
                 pick = violation.argmax(axis=0)
             else:
                 pick = (violation > TOLERANCE).argmax(axis=0)
-            everyone = np.arange(live.size)
             going = violation[pick, everyone] > TOLERANCE
             if roof is not None:
                 # With every multiplier right, what is left out can only raise the objective.
                 going &= (rise <= roof) | (wrong > TOLERANCE).any(axis=0)
             left = int(np.count_nonzero(going))
             if left < live.size:
-                if live.size < count or left:
-                    done = ~going
-                    where = live[done]
+                done = np.flatnonzero(~going)
+                where = live[done]
+                self.y[:, where] = y.take(done, axis=-1)
+                self.at[:, where] = at.take(done, axis=-1)
+                self.rise[where] = rise[done]
+                if keep_table:
                     self.table[:, :, where] = table[:, :, done]
-                    self.y[:, where], self.at[:, where] = y[:, done], at[:, done]
-                    self.rise[where] = rise[done]
                 if not left:
                     return
-                live, pick, everyone = live[going], pick[going], everyone[:left]
-                table, y, at, free = table[:, :, going], y[:, going], at[:, going], free[:, going]
-                rise = rise[going]
-                lower, upper, movable = lower[:, going], upper[:, going], movable[:, going]
-                roof = None if roof is None else roof[going]
-            _pivot(table, y, at, rise, free, lower, upper, pick, everyone)
+                on = np.flatnonzero(going)
+                live, pick, everyone = live[on], pick[on], everyone[:left]
+                table, parts = table.take(on, axis=-1), parts.take(on, axis=-1)
+                free, rise = free.take(on, axis=-1), rise[on]
+                roof = None if roof is None else roof[on]
+            _pivot(table, parts, rise, free, pick, everyone)
+        self.y[:, live], self.at[:, live], self.rise[live] = parts[0], parts[1], rise
         self.table[:, :, live] = table
-        self.y[:, live], self.at[:, live], self.rise[live] = y, at, rise
 
     def shift(self, change: Floats) -> None:
         """Let b change by ``change`` ``(k, n)``, the bases staying as they are."""
@@ -190,26 +193,24 @@ class BoxBatch:
 
 def _pivot(
     table: Floats,
-    y: Floats,
-    at: NDArray[np.int8],
+    parts: Floats,
     rise: Floats,
     free: Bools,
-    lower: Floats,
-    upper: Floats,
     pick: NDArray[np.intp],
     everyone: NDArray[np.intp],
 ) -> None:
     """Exchange variable ``pick`` with its multiplier, in place, one for each problem."""
+    y, at = parts[0], parts[1]
     column = table[:, pick, everyone]
     row = table[pick, :, everyone].T
     inverse = 1.0 / column[pick, everyone]
-    value, low, high = y[pick, everyone], lower[pick, everyone], upper[pick, everyone]
+    value, side, low, high, _ = parts[:, pick, everyone]
     leaving = free[pick, everyone]  # from the free ones to a bound
     above = value > high
     difference = np.where(leaving, np.where(above, high, low), 0.0) - value
     step = difference * inverse
     rise += np.where(leaving, step, -step) * difference
-    kept = np.where(leaving, 0.0, np.where(at[pick, everyone] == _UPPER, high, low))
+    kept = np.where(leaving, 0.0, np.where(side == _UPPER, high, low))
     factor = column * inverse
     y += column * step
     y[pick, everyone] = step + kept

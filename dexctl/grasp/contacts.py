@@ -22,6 +22,7 @@ CONTACT_MODELS = {"frictionless": 1, "hard": 3, "soft": 4}
 """Columns of the grasp map per contact: the normal force; the force in world axes; the force in
 world axes and the torque about the normal."""
 
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 NORMAL_TOLERANCE = 0.02  # on the squared norm of a unit normal
 
 
@@ -136,7 +137,7 @@ def grasp_map(
         in_contact = np.ones((*batch, m), bool)
     r, n, active = check_contacts(position, normal, in_contact, origin)
     if model == "frictionless":
-        return np.swapaxes(np.concatenate([n, np.cross(r, n)], axis=-1), -1, -2)
+        return np.swapaxes(np.concatenate([n, cross(r, n)], axis=-1), -1, -2)
     columns = CONTACT_MODELS[model]
     g = np.zeros((*batch, 6, m, columns))
     for axis in range(3):
@@ -171,6 +172,13 @@ def hand_jacobian(
     active = check_mask(in_contact, position.shape[:-1])[..., None]
     jacobian = hand.contact_jacobian(q, np.where(active, position, 0.0)) * active[..., None]
     return jacobian.reshape(*jacobian.shape[:-3], 3 * hand.n_fingers, hand.nq)
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """Cross products of rows ``(..., 3)``; ``np.cross`` takes several times as long."""
+    product = a[..., _NEXT] * b[..., _LAST]
+    product -= a[..., _LAST] * b[..., _NEXT]
+    return product
 
 
 def check_mask(in_contact: ArrayLike, shape: tuple[int, ...]) -> Bools:

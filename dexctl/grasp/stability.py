@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
-from dexctl.grasp.contacts import NORMAL_TOLERANCE, Contacts, check_contacts
+from dexctl.grasp.contacts import NORMAL_TOLERANCE, Contacts, check_contacts, cross
 from dexctl.grasp.stability_solver import (
     solve_lexicographic_batch,
     solve_stability,
@@ -133,7 +133,7 @@ def stability_forces(
 
 def unit_wrenches(contacts: Contacts, length: ArrayLike) -> Floats:
     """W ``(..., 6, m)``: wrenches of unit normal forces, torques divided by ``length``."""
-    torque = np.cross(contacts.position, contacts.normal) / np.asarray(length)[..., None, None]
+    torque = cross(contacts.position, contacts.normal) / np.asarray(length)[..., None, None]
     return np.swapaxes(np.concatenate([contacts.normal, torque], axis=-1), -1, -2)
 
 

@@ -69,29 +69,35 @@ def solve_stability(
     )
     if not candidates:
         return solve_box(table, free, list(lower), list(upper))[0], -1
-    best, forces, held = inf, free, -1
+    trials = []
+    roof = inf
     for bound, j in candidates:
-        if bound >= best - TIE and (j > held or bound > best + TIE):
-            continue
+        if bound > roof + TIE:
+            break
         row = table[j]
         scale = 1.0 / row[j]
         step = (1.0 - free[j]) * scale
         trial = [c + step * a for c, a in zip(free, row, strict=True)]
         trial[j] = 1.0
-        value = bound
         # What keeping the costliest of the broken bounds alone would add.
         toll = 0.0
         for i in range(k):
-            over = lower[i] - trial[i]
-            if over <= TOLERANCE:
-                over = trial[i] - upper[i]
-                if over <= TOLERANCE:
-                    continue
-            a = row[i]
-            toll = max(toll, over * over / (table[i][i] - a * a * scale))
-        if toll:
-            if bound + toll > best + TIE:
-                continue
+            c = trial[i]
+            over = c - upper[i] if c > upper[i] else lower[i] - c
+            if over > TOLERANCE:
+                a = row[i]
+                over *= over / (table[i][i] - a * a * scale)
+                if over > toll:
+                    toll = over
+        trials.append((bound + toll, j, bound, trial))
+        if not toll:  # within the bounds: no later candidate does better
+            roof = min(roof, bound)
+    best, forces, held = inf, free, -1
+    for lowest, j, bound, trial in sorted(trials):
+        if lowest >= best - TIE and (j > held or lowest > best + TIE):
+            continue
+        value = bound
+        if lowest > bound:
             trial, rise = _with_one_held(table, trial, j, lower, upper, best + TIE - bound)
             value += rise
         if value < best - TIE or (j < held and value <= best + TIE):
@@ -162,11 +168,16 @@ def solve_stability_batch(
     hard = np.flatnonzero((np.abs(forces) > TOLERANCE).any(axis=0) & np.isfinite(lowest))
     if not hard.size:
         return clipped, held
-    # Clipping leaves c_j at one and the bounds kept, so what it costs prunes other problems.
-    excess = forces[:, hard]
-    gram_excess = np.einsum("ijn,jn->in", gram[:, :, hard], excess)
-    roof = lowest[hard] + (excess * (gram_excess / regulariser + excess)).sum(axis=0)
-    which, column = np.nonzero(bound[:, hard] <= roof + TIE)
+    lowest, roof = _bracket(
+        gram[:, :, hard] / regulariser,
+        table[:, :, hard],
+        free[:, hard],
+        bound[:, hard],
+        step[:, hard],
+        lower[:, hard],
+        upper[:, hard],
+    )
+    which, column = np.nonzero(lowest <= roof + TIE)
     where = hard[column]
     box = _hold_at_one(table, free, bound, step, lower, upper, which, where)
     box.solve(roof[column] + TIE)
@@ -219,7 +230,7 @@ def solve_lexicographic_batch(
     grams = gram[:, :, where]
     forces = np.full((m, where.size), np.inf)
     for _ in range(_MAX_MULTIPLIER_STEPS):
-        box.solve()
+        box.solve(keep_table=True)
         previous, forces = forces, box.solution()
         if not np.abs(forces - previous).max(initial=0.0) > 1e-12:
             break
@@ -269,6 +280,35 @@ def _bounds(table: Floats, free: Floats, candidate: Bools) -> tuple[Floats, Floa
     bound = gap * step
     bound[~candidate] = np.inf
     return bound, step
+
+
+def _bracket(
+    gram: Floats,
+    table: Floats,
+    free: Floats,
+    bound: Floats,
+    step: Floats,
+    lower: Floats,
+    upper: Floats,
+) -> tuple[Floats, Floats]:
+    """Lower bounds of every problem "c_j = 1", ``(m, n)``, and an upper bound of the best.
+
+    Below: the bound without other bounds, and what keeping the costliest of the broken ones
+    alone adds. Above: the least that clipping into the bounds costs, for any j.
+    """
+    diagonal = np.einsum("iin->in", table)
+    trial = table * step
+    trial += free[:, None]
+    excess = trial - np.minimum(np.maximum(trial, lower[:, None]), upper[:, None])
+    each = np.arange(len(free))
+    excess[each, each] = 0.0
+    remaining = diagonal[:, None] - table**2 / np.where(diagonal > 0, diagonal, 1.0)
+    # Zero for c_j itself and for fingers out of contact, neither of which can be in excess.
+    toll = np.divide(excess**2, remaining, out=np.zeros_like(excess), where=excess != 0)
+    cost = np.einsum("ikn,kjn->ijn", gram, excess)
+    cost += excess
+    cost *= excess
+    return bound + toll.max(axis=0), (bound + cost.sum(axis=0)).min(axis=0)
 
 
 def _hold_at_one(
