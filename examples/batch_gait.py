@@ -30,4 +30,7 @@ def main(num_envs: int = 64, seconds: float = 10.0) -> None:
 
 
 if __name__ == "__main__":
-    main(*(int(arg) if i == 0 else float(arg) for i, arg in enumerate(sys.argv[1:])))
+    if len(sys.argv) == 3:
+        main(int(sys.argv[1]), float(sys.argv[2]))
+    else:
+        main()

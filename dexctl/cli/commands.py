@@ -16,9 +16,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from dexctl.exceptions import UnknownName
+from dexctl.exceptions import DexctlError, UnknownName
 
 GROUP = "dexctl.commands"
+
+
+class CommandUnavailable(DexctlError):
+    """A command is known, but what it needs is not installed."""
 
 
 class Command(Protocol):
@@ -43,8 +47,17 @@ class CommandEntry(NamedTuple):
     summary: str
 
     def load(self) -> type[Command] | Mapping[str, type[Command]]:
-        """The command's class, or a mapping of names to classes."""
-        return EntryPoint(self.name, self.target, GROUP).load()
+        """The command's class, or a mapping of names to classes.
+
+        Raises:
+            CommandUnavailable: what it needs cannot be imported.
+        """
+        try:
+            return EntryPoint(self.name, self.target, GROUP).load()
+        except (ImportError, AttributeError) as error:
+            raise CommandUnavailable(
+                f"the command {self.name!r} cannot be loaded from {self.target}: {error}"
+            ) from error
 
 
 _OWN = (

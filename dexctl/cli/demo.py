@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from dexctl.sim import Scene
     from dexctl.sim.record import Recorder
 
-CONTROLLERS = ("igm", "switch", "gait", "coordinated")
+CONTROLLERS = ("igm", "hold", "coordinated")
 KEY_FRAMES, PICTURE_FRAMES = 4, 6
 _NAMED = ("report.html", "picture.png", "demo.mp4")
 FPS, VIDEO_SIZE, STILL_SIZE = 15.0, (640, 480), (800, 600)
@@ -146,6 +146,8 @@ class _Work:
     def draw_key_frames(self) -> None:
         """Stills for the report; where there is no OpenGL, says how to get one and draws none."""
         from dexctl.report.demo import key_times
+        from dexctl.report.files import write_bytes
+        from dexctl.report.picture import png
 
         self.console.print("looking for an OpenGL to draw with", style="dim")
         try:
@@ -161,8 +163,8 @@ class _Work:
                 for i, time in enumerate(key_times(trial.trace, KEY_FRAMES)):
                     path = self.folder / f"{trial.name}_{i}.png"
                     recorder(trial.film.at(time))
-                    recorder.picture(path)
-                    trial.pictures[time] = path.read_bytes()
+                    trial.pictures[time] = png(recorder.picture())
+                    write_bytes(path, trial.pictures[time])
                     self.files.append(path)
                     bar.advance(task)
             best = self.trials[CONTROLLERS[-1]]

@@ -40,7 +40,8 @@ figcaption { margin-top: .3rem; }
 .strip figcaption { font-size: .85rem; }
 code { font: .92em ui-monospace, "DejaVu Sans Mono", Menlo, monospace; background: #f1f4f6;
   padding: .1em .3em; border-radius: 3px; }
-@media print { figure video { display: none; } main { max-width: none; padding: 0; } h2 { break-after: avoid; }
+@media print { figure video { display: none; } main { max-width: none; padding: 0; }
+  h2 { break-after: avoid; }
   body { font-size: 11px; } section { break-inside: avoid; } }
 """
 

@@ -54,6 +54,16 @@ def compose(trace: Trace, pictures: Mapping[float, np.ndarray], title: str) -> b
     return buffer.getvalue()
 
 
+def png(picture: np.ndarray) -> bytes:
+    """A picture ``(height, width, 3)`` uint8 as the content of a PNG file."""
+    with drawing():  # says so where there is no matplotlib
+        from matplotlib.image import imsave
+
+        buffer = io.BytesIO()
+        imsave(buffer, picture, format="png")
+    return buffer.getvalue()
+
+
 def _centre(picture: np.ndarray) -> np.ndarray:
     """The square in the middle of a picture, where the hand is."""
     height, width = picture.shape[:2]
