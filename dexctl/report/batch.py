@@ -75,7 +75,7 @@ def build(
                 html.plot(
                     figures.trial_figure(trace),
                     "Contacts, forces and residual of the first trial",
-                    "A bar while the fingertip touches. Colours are the same in both plots.",
+                    figures.diagram_caption(trace),
                 ),
             ),
             conditions(setting, control_period, command, machine),

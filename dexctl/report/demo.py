@@ -136,14 +136,11 @@ def _trial_section(trial: Trial) -> str:
                 for time, content in trial.pictures.items()
             )
         )
-    outline = ""
-    if figures.switching_fingers(trial.trace) is not None:
-        outline = " Outlined: the controller is switching this finger."
     parts.append(
         html.plot(
             figures.trial_figure(trial.trace),
             f"{entry.title}: contacts, forces and residual over time",
-            f"A bar while the fingertip touches.{outline} Colours are the same in all plots.",
+            figures.diagram_caption(trial.trace),
         )
     )
     return html.section(f"{entry.title[0].upper()}{entry.title[1:]}", *parts)

@@ -6,7 +6,7 @@ Call them inside `dexctl.report.style.drawing`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "clip_on": False, "zorder": 5}  # where it dropped
 WIDTH = 7.6  # [inch]; every figure has it, so that time axes line up on the page
 
 
@@ -33,11 +34,11 @@ def rotation_figure(traces: Mapping[str, Trace], index: int = 0) -> Figure:
         line = controller_line(name)
         axes.plot(trace.time[: last + 1], rotation[: last + 1], label=title_of(name), **line)
         if not held[-1]:
-            axes.plot(trace.time[last], rotation[last], "x", color=line["color"], ms=8, mew=2)
+            axes.plot(trace.time[last], rotation[last], "x", color=line["color"], **_CROSS)
     if any(trace.dropped.any() for trace in traces.values()):
-        axes.plot([], [], "x", color=INK, ms=7, mew=2, label="object dropped")
+        axes.plot([], [], "x", color=INK, label="object dropped", **_CROSS)
     axes.set(xlabel="time [s]", ylabel="rotation about the palm axis [rad]")
-    axes.margins(x=0)
+    axes.set_xlim(0, max(trace.time[-1] for trace in traces.values()))
     turns = axes.secondary_yaxis("right", functions=(_to_turns, _to_radians))
     turns.set_ylabel("[turns]")
     _legend_above(axes)
@@ -57,7 +58,7 @@ def spread_figure(name: str, trace: Trace) -> Figure:
     rows = np.flatnonzero(trace.dropped)
     if len(rows):
         dropped = trace.rotation[last[rows], rows]
-        axes.plot(trace.time[last[rows]], dropped, "x", color=INK, ms=5, label="object dropped")
+        axes.plot(trace.time[last[rows]], dropped, "x", color=INK, label="object dropped", **_CROSS)
     axes.set(xlabel="time [s]", ylabel="rotation about the palm axis [rad]")
     axes.margins(x=0)
     turns = axes.secondary_yaxis("right", functions=(_to_turns, _to_radians))
@@ -118,6 +119,13 @@ def contact_diagram(axes: Axes, trace: Trace, index: int = 0) -> None:
     for label, i in zip(axes.get_yticklabels(), range(count), strict=True):
         label.set_color(finger_colour(i))
     axes.tick_params(axis="y", length=0)
+
+
+def diagram_caption(trace: Trace) -> str:
+    """What the reader of `trial_figure` must know."""
+    told = switching_fingers(trace) is not None
+    outline = " Outlined: the controller is switching this finger." if told else ""
+    return f"A bar while the fingertip touches.{outline} Colours are the same in all plots."
 
 
 def switching_fingers(trace: Trace, index: int = 0) -> Bools | None:

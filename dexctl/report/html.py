@@ -28,8 +28,10 @@ table { border-collapse: collapse; width: 100%; margin: .8rem 0;
   font-variant-numeric: tabular-nums; }
 th, td { padding: .35rem .7rem; text-align: right; border-bottom: 1px solid var(--line); }
 th { font-weight: 600; border-bottom: 2px solid var(--ink); vertical-align: bottom; }
-th:first-child, td:first-child { text-align: left; white-space: nowrap; }
-table.facts { width: auto; } table.facts td { text-align: left; vertical-align: top; }
+td { white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; }
+table.facts { width: auto; }
+table.facts td { white-space: normal; text-align: left; vertical-align: top; }
 table.facts td:first-child { color: var(--faint); white-space: nowrap; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figure img { width: 100%; height: auto; display: block; }

@@ -155,7 +155,8 @@ def test_ctrl_c_while_drawing(
             assert time.monotonic() < give_up
             time.sleep(0.02)
         time.sleep(0.3)
-        os.killpg(process.pid, signal.SIGINT)  # what a terminal does: to ffmpeg as well
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGINT)  # what a terminal does: to ffmpeg as well
         _, said = process.communicate(timeout=60)
     finally:
         process.kill()
