@@ -110,7 +110,7 @@ class CheckGrasp(SceneOptions):
         from rich.table import Table
 
         console, many = results(), self.num_envs > 1
-        what = f"{self.hand} holds a {self.object}, palm {self.gravity}"
+        what = f"{self.hand} holds a {self.object}, {self.palm}"
         count = f": {self.num_envs} disturbed grasps, median (lowest to highest)" if many else ""
         console.print(f"[bold]{what}{count}[/bold]")
         if not many:

@@ -132,7 +132,7 @@ class _Work:
         demo = self.demo
         console = results()
         console.print(
-            f"[bold]{demo.hand} turns a {demo.object}, palm {demo.gravity}: one trial of "
+            f"[bold]{demo.hand} turns a {demo.object}, {demo.palm}: one trial of "
             f"{demo.seconds:g} s each, seed {demo.seed}[/bold]"
         )
         table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)

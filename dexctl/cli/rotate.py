@@ -170,7 +170,7 @@ class Rotate(SceneOptions):
         title = controllers.entry(self.controller).title
         console = results()
         console.print(
-            f"[bold]{title}: {self.hand} turns a {self.object}, palm {self.gravity}[/bold]\n"
+            f"[bold]{title}: {self.hand} turns a {self.object}, {self.palm}[/bold]\n"
             f"{self.num_envs} trials of {self.seconds:g} s, seeds {self.seed} to "
             f"{self.seed + self.num_envs - 1}; median (10 % to 90 %), share (95 % interval)\n",
             soft_wrap=True,

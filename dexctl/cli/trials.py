@@ -39,6 +39,13 @@ class SceneOptions:
     mesh: Path | None = None
     """STL or OBJ file, with --object mesh; its convex hull is what collides."""
 
+    @property
+    def palm(self) -> str:
+        """How the hand is held, for people."""
+        return (
+            f"palm {self.gravity}" if self.gravity in ("up", "down") else f"gravity {self.gravity}"
+        )
+
     def build_scene(self) -> Scene:
         """The scene, with its grasp settled.
 
@@ -86,7 +93,7 @@ class SceneOptions:
     def describe(self, scene: Scene) -> dict[str, Any]:
         """For JSON and reports."""
         return {
-            "palm": f"palm {self.gravity}" if self.gravity in ("up", "down") else "tilted palm",
+            "palm": self.palm,
             "hand": self.hand,
             "object": self.object,
             "gravity_m_s2": scene.gravity.tolist(),
