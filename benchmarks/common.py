@@ -59,7 +59,9 @@ def write(name: str, result: dict[str, Any]) -> Path:
     RESULTS.mkdir(exist_ok=True)
     path = RESULTS / f"{name}.json"
     aside = path.with_suffix(".part")
-    aside.write_text(json.dumps({"benchmark": name, **result, "machine": machine()}, indent=2) + "\n")
+    aside.write_text(
+        json.dumps({"benchmark": name, **result, "machine": machine()}, indent=2) + "\n"
+    )
     aside.replace(path)
     print(json.dumps(result, indent=2))
     print(f"written: {path}")

@@ -8,46 +8,18 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TypeVar
 
 import numpy as np
 import pinocchio
 from numpy.typing import ArrayLike, NDArray
 
+from dexctl.configuration import HandConfiguration
 from dexctl.description import Description, Joint, Mimic, read_mjcf, read_urdf
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
 
-# p @ _SKEW, reshaped to (3, 3), is -[p]x: the matrix that maps w to w x p.
-_SKEW = np.zeros((3, 9))
-for _row, _col, _axis, _sign in (
-    (0, 1, 2, 1), (0, 2, 1, -1), (1, 0, 2, -1), (1, 2, 0, 1), (2, 0, 1, 1), (2, 1, 0, -1),
-):  # fmt: skip
-    _SKEW[_axis, 3 * _row + _col] = _sign
-
-
-class HandConfiguration(NamedTuple):
-    """Forward kinematics at one q (or a batch of them): what Jacobians are made from.
-
-    Attributes:
-        fingertip_position: ``(..., m, 3)`` [m], world frame.
-        joint_twist: ``(..., 6, d)``; column k is the (linear, angular) velocity that joint k
-            gives, at unit speed, to the point of a moved body that is at the world's origin.
-        moves: ``(m, d)`` bool; which joints move which fingertip.
-    """
-
-    fingertip_position: Floats
-    joint_twist: Floats
-    moves: Bools
-
-    def contact_jacobian(self, contact_position: Floats) -> Floats:
-        """Velocities of points ``(..., m, 3)`` fixed on the distal links, ``(..., m, 3, d)``."""
-        skew = (contact_position @ _SKEW).reshape(*contact_position.shape, 3)
-        linear, angular = self.joint_twist[..., None, :3, :], self.joint_twist[..., None, 3:, :]
-        jacobian = skew @ angular
-        jacobian += linear
-        jacobian *= self.moves[:, None, :]
-        return jacobian
+Item = TypeVar("Item")
 
 
 class HandModel:
@@ -71,6 +43,9 @@ class HandModel:
         effort: joint torque limits, ``(d,)`` [N m], infinite where the file gives none.
         velocity: joint speed limits, ``(d,)`` [rad/s], infinite where the file gives none.
         moves: which joints move which fingertip, ``(m, d)`` bool.
+        finger_joints: the joints of each finger, ``(m, n)`` int, n the most that one has; rows
+            of shorter fingers are filled up with zeros, which `moves` tells from joint 0.
+        finger_joint_map: ``(m, n, d)``; one where joint d is the n-th of a finger, else zero.
         shares_joints: whether some joint moves more than one fingertip.
         ignored_joints: joints of the file that move no fingertip.
         path: the file that the hand came from.
@@ -89,6 +64,9 @@ class HandModel:
         chains = [self._chain(description, body) for body in self._tip_body]
         used = _unique(joint.name for chain in chains for _, joint in chain)
         couplings = {name: description.resolve(name) for name in used}
+        for chain, tip in zip(chains, self.fingertip_names, strict=True):
+            if all(couplings[joint.name].master is None for _, joint in chain):
+                raise HandModelError(f"{path}: every joint above the fingertip {tip!r} is held")
         # a master may sit on no finger (a drive): its slaves still need it
         masters = _unique(c.master for c in couplings.values() if c.master is not None)
         if joints is not None and sorted(joints) != sorted(masters):
@@ -155,26 +133,21 @@ class HandModel:
         q = np.asarray(q, float)
         if q.ndim == 0 or q.shape[-1] != self.nq:
             raise InvalidInput(f"q has shape {q.shape}; expected (..., {self.nq})")
-        full = q if self._expand is None else q @ self._expand + self._expand_offset
         batch = q.shape[:-1]
-        rows = full.reshape(-1, full.shape[-1])
-        twists = np.empty((len(rows), 6, rows.shape[-1]))
-        origins = np.empty((len(rows), self.n_fingers, 3))
-        rotations = np.empty((len(rows), self.n_fingers, 3, 3))
+        rows = q.reshape(-1, self.nq) @ self._expand + self._expand_offset
+        twist = np.empty((len(rows), *self._twist_view.shape))
+        tips = np.empty((len(rows), self.n_fingers, 3))
         with self._lock:
             for i, row in enumerate(rows):
                 pinocchio.computeJointJacobians(self._model, self._data, row)
-                twists[i] = self._twist_view
-                for k, (translation, rotation) in enumerate(self._tip_views):
-                    origins[i, k] = translation
-                    rotations[i, k] = rotation
-        tips = (rotations @ self._tip_offset[..., None])[..., 0] + origins
-        if self._expand is not None:
-            twists = twists @ self._expand.T
+                twist[i] = self._twist_view
+                for finger, tip in enumerate(self._tip_views):
+                    tips[i, finger] = tip
+        chains = twist.swapaxes(-1, -2)[:, self._chain_slots]
+        if self._reduce is not None:
+            chains = self._reduce @ chains
         return HandConfiguration(
-            tips.reshape(*batch, self.n_fingers, 3),
-            twists.reshape(*batch, 6, self.nq),
-            self.moves,
+            self, tips.reshape(*batch, *tips.shape[1:]), chains.reshape(*batch, *chains.shape[1:])
         )
 
     def fingertip_positions(self, q: ArrayLike) -> Floats:
@@ -297,38 +270,30 @@ class HandModel:
             return placed[body]
 
         carriers = [place(body) for body in self._tip_body]
+        slots = list(model.names)[1:]
+        # a joint that never moves sits at each fingertip, so that pinocchio places the tip too
+        tips = []
+        for (parent, offset), tip in zip(carriers, self.fingertip_offsets, strict=True):
+            still = pinocchio.JointModelPrismaticUnaligned(np.array([1.0, 0.0, 0.0]))
+            at_tip = offset * pinocchio.SE3(np.eye(3), tip)
+            tips.append(model.addJoint(parent, still, at_tip, f"tip {len(tips)}"))
         self._model, self._data = model, model.createData()
         self._lock = threading.Lock()
-        self._tip_offset = np.array(
-            [
-                placement.act(tip)
-                for (_, placement), tip in zip(carriers, self.fingertip_offsets, strict=True)
-            ]
-        )
         pinocchio.computeJointJacobians(model, self._data, np.zeros(model.nq))
         # pinocchio writes in place, so these views show every later evaluation
-        self._twist_view = self._data.J
-        self._tip_views = [
-            (self._data.oMi[joint].translation, self._data.oMi[joint].rotation)
-            for joint, _ in carriers
-        ]
+        self._twist_view = self._data.J.reshape(6, -1)
+        self._tip_views = [self._data.oMi[joint].translation for joint in tips]
 
-        slots = list(model.names)[1:]
-        expand = np.zeros((len(order), len(slots)))
-        offsets = np.zeros(len(slots))
-        for slot, coupling in enumerate(couplings[name] for name in slots):
-            offsets[slot] = coupling.offset
-            if coupling.master is not None:
-                expand[order.index(coupling.master), slot] = coupling.scale
-        plain = slots == order and not couplings.keys() & description.mimics.keys()
-        self._expand = None if plain else expand
-        self._expand_offset = offsets
-
-        on_chain = np.zeros((self.n_fingers, len(slots)), bool)
-        for finger, chain in enumerate(chains):
-            on_chain[finger, [slots.index(joint.name) for _, joint in chain]] = True
-        self.moves = (on_chain.astype(float) @ (expand != 0).T) > 0
-        self.shares_joints = bool((self.moves.sum(axis=0) > 1).any())
+        # pinocchio numbers joints its own way: column k of its Jacobian is the joint in slot k
+        self._expand = np.zeros((len(order), model.nq))
+        self._expand_offset = np.zeros(model.nq)
+        columns = {name: model.idx_vs[model.getJointId(name)] for name in slots}
+        for name, column in columns.items():
+            self._expand_offset[column] = couplings[name].offset
+            master = couplings[name].master
+            if master is not None:
+                self._expand[order.index(master), column] = couplings[name].scale
+        self._map_fingers([[columns[joint.name] for _, joint in chain] for chain in chains])
         self.joint_names = tuple(order)
         self.nq = len(order)
         found = [all_joints[name] for name in order]
@@ -338,9 +303,35 @@ class HandModel:
         self.velocity = np.array([joint.velocity for joint in found])
         self.ignored_joints = tuple(n for n in all_joints if n not in couplings and n not in order)
 
+    def _map_fingers(self, chains: list[list[int]]) -> None:
+        """Which columns of pinocchio's Jacobian, and which of the d joints, belong to a finger."""
+        m, d = self.n_fingers, len(self._expand)
+        longest = max(map(len, chains))
+        still = self._expand.shape[1] - 1  # a tip's joint: never moves, and is on no chain
+        self._chain_slots = np.full((m, longest), still)
+        joints: list[list[int]] = []
+        for finger, chain in enumerate(chains):
+            self._chain_slots[finger, : len(chain)] = chain
+            joints.append(
+                _unique(int(j) for c in chain for j in np.flatnonzero(self._expand[:, c]))
+            )
+        width = max(map(len, joints))
+        self.finger_joints = np.zeros((m, width), int)
+        self.finger_joint_map = np.zeros((m, width, d))
+        reduce = np.zeros((m, width, longest))
+        for finger, own in enumerate(joints):
+            self.finger_joints[finger, : len(own)] = own
+            self.finger_joint_map[finger, range(len(own)), own] = 1.0
+            for place, column in enumerate(chains[finger]):
+                reduce[finger, : len(own), place] = self._expand[own, column]
+        plain = reduce.shape[1] == longest and bool((reduce == np.eye(longest)).all())
+        self._reduce = None if plain else reduce
+        self.moves: Bools = self.finger_joint_map.any(axis=1)
+        self.shares_joints = bool((self.moves.sum(axis=0) > 1).any())
 
-def _unique(names: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(names))
+
+def _unique(items: Iterable[Item]) -> list[Item]:
+    return list(dict.fromkeys(items))
 
 
 def random_configurations(hand: HandModel, count: int, seed: int) -> NDArray[np.float64]:

@@ -1,5 +1,13 @@
 """In-grasp manipulation: turns a held object without letting go of it."""
 
-from dexctl.igm.controller import InGraspManipulation, InGraspManipulationConfig
+from dexctl.igm.controller import InGraspManipulation, InGraspManipulationConfig, Share
+from dexctl.igm.stability import StableForces, push_directions, stable_forces
 
-__all__ = ["InGraspManipulation", "InGraspManipulationConfig"]
+__all__ = [
+    "InGraspManipulation",
+    "InGraspManipulationConfig",
+    "Share",
+    "StableForces",
+    "push_directions",
+    "stable_forces",
+]

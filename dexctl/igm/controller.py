@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dexctl.configuration import HandConfiguration
 from dexctl.controller import Controller, check_action, check_state
-from dexctl.exceptions import InvalidInput
-from dexctl.hand import HandConfiguration, HandModel
+from dexctl.hand import HandModel
 from dexctl.igm.inverse import ContactInverse
 from dexctl.igm.regulation import Regulation
-from dexctl.igm.stability import stable_forces
+from dexctl.igm.stability import push_directions, stable_forces
 from dexctl.limits import SetPointLimits
 from dexctl.rotations import cross
 from dexctl.state import Bools, Floats, GraspState
+from dexctl.validation import check_numbers, check_twist
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,47 +31,52 @@ class InGraspManipulationConfig:
         stability_gain: set-point speed per force error (alpha of eq. dqstab) [m/(N s)].
         regulariser: rho of the QP; pulls all forces towards the largest one.
         min_force: least force of a holding finger, as a fraction of `grip_force`.
+        friction: how far a finger may push aside from the normal, towards the object's centre, as
+            a friction coefficient; forces through the centre balance where normals do not. It
+            must stay well below the real one. 0: along the normal only.
         length: torques are divided by it in the QP [m]; None: mean contact distance.
         damping: of the least-squares inverse [m].
         height_gain, centring_gain: pull the object back to where it was at the first call after
             a reset, along the axis of rotation and across it [1/s].
         tilt_gain: turns the object's axis back to where it was then [1/s].
         closing_speed: fingers out of touch move towards the object at this speed [m/s].
-        relaxation: rate at which tangential set-point offsets of the fingers that only squeeze
-            the object against each other are let go [1/s].
         max_joint_speed: set-points move at most this fast [rad/s].
         max_lead: set-points stay this close to the measured joints [rad].
     """
 
     twist: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.4)
     grip_force: float = 2.5
-    stability_gain: float = 0.012
+    stability_gain: float = 0.025
     regulariser: float = 1e-3
-    min_force: float = 0.25
+    min_force: float = 0.15
+    friction: float = 0.3
     length: float | None = None
     damping: float = 0.005
     height_gain: float = 1.0
     centring_gain: float = 1.0
     tilt_gain: float = 1.0
     closing_speed: float = 0.03
-    relaxation: float = 0.0
     max_joint_speed: float = 2.0
     max_lead: float = 0.25
 
     def __post_init__(self) -> None:
-        if np.shape(self.twist) != (6,) or not np.isfinite(self.twist).all():
-            raise InvalidInput(f"twist is {self.twist}; expected six finite numbers")
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name == "twist" or (item.name == "length" and value is None):
-                continue
-            if not (np.isfinite(value) and value >= 0):
-                raise InvalidInput(f"{item.name} is {value}; expected a finite number, 0 or more")
-        for name in ("grip_force", "damping", "max_joint_speed", "max_lead", "length"):
-            if getattr(self, name) == 0:
-                raise InvalidInput(f"{name} is 0; expected a number above 0")
-        if self.min_force > 1:
-            raise InvalidInput(f"min_force is {self.min_force}; expected a fraction from 0 to 1")
+        check_twist(self.twist)
+        check_numbers(
+            self,
+            positive=("grip_force", "damping", "max_joint_speed", "max_lead"),
+            not_negative=(
+                "stability_gain",
+                "regulariser",
+                "friction",
+                "height_gain",
+                "centring_gain",
+                "tilt_gain",
+                "closing_speed",
+            ),
+            fractions=("min_force",),
+        )
+        if self.length is not None:
+            check_numbers(self, positive=("length",))
 
     @classmethod
     def thesis(cls, **changes: Any) -> InGraspManipulationConfig:
@@ -79,6 +85,7 @@ class InGraspManipulationConfig:
             twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.45),
             regulariser=0.0,
             min_force=0.0,
+            friction=0.0,
             height_gain=0.0,
             centring_gain=0.0,
             tilt_gain=0.0,
@@ -98,16 +105,14 @@ class Share(NamedTuple):
         released: fingers that belong to another controller, ``(..., m)`` bool; they get no motion.
         max_force: upper bound of each finger's force, as a fraction of the grip, ``(..., m)``.
         twist: object twist instead of the configured one, ``(..., 6)``.
-        relax: rate at which a finger's set-point goes back to where the finger is, ``(..., m)``
-            [1/s]; where it is above zero it takes the place of force control.
-        deflection: fingertip set-points from fingertip positions, ``(..., m, 3)`` [m].
+        yielding: rate at which a finger's set-point goes back to where the finger is,
+            ``(..., m)`` [1/s]; where it is above zero it takes the place of force control.
     """
 
     released: Bools | None = None
     max_force: Floats | None = None
     twist: Floats | None = None
-    relax: Floats | None = None
-    deflection: Floats | None = None
+    yielding: Floats | None = None
 
 
 class InGraspManipulation(Controller):
@@ -163,49 +168,57 @@ class InGraspManipulation(Controller):
         touch = state.in_contact if share.released is None else state.in_contact & ~share.released
         if hand_now is None:
             hand_now = self.hand.configuration(state.q)
-        point = np.where(touch[..., None], state.contact_position, hand_now.fingertip_position)
-        normal = np.where(touch[..., None], state.contact_normal, 0.0)
+        touching = touch[..., None]
+        point = np.where(touching, state.contact_position, hand_now.fingertip_position)
+        normal = np.where(touching, state.contact_normal, 0.0)
         origin = _origin(state, touch, point)
         lever = point - origin[..., None, :]
 
+        push = push_directions(normal, lever, config.friction)
         upper = touch.astype(float) if share.max_force is None else touch * share.max_force
         forces, residual, held = stable_forces(
             lever,
-            normal,
+            push,
             touch,
             upper,
             min_force=config.min_force,
             regulariser=config.regulariser,
             length=config.length,
         )
-        measured = np.where(touch, state.contact_force, 0.0)
-        press = config.stability_gain * (config.grip_force * forces - measured)
+        desired = config.grip_force * forces
+        jacobian = hand_now.finger_jacobian(point)
 
+        # eq. dqstab: along the normal, by the force error
+        press = config.stability_gain * (desired - np.where(touch, state.contact_force, 0.0))
+        velocity = press[..., None] * push
+        if share.yielding is not None:
+            self._yield(velocity, share.yielding, state, jacobian)
+        # eq. dqrot: with the object; superposed before the inverse, which is linear
         twist = self._twist if share.twist is None else share.twist
         twist = twist + self._regulation.twist(state, origin)
-        velocity = press[..., None] * normal
-        velocity += np.where(touch[..., None], _rigid(twist, lever), 0.0)
+        velocity += np.where(touching, _rigid(twist, lever), 0.0)
         if config.closing_speed:
-            free = ~state.in_contact
-            if share.released is not None:
-                free &= ~share.released
+            free = ~touch if share.released is None else ~(touch | share.released)
             if free.any():
                 velocity += np.where(free[..., None], self._closing(lever), 0.0)
-        if share.relax is not None:
-            ease = share.relax[..., None]
-            pressing = press[..., None] * normal
-            velocity -= np.where((ease > 0) & touch[..., None], pressing + ease * share.deflection, 0.0)
-        jacobian = hand_now.contact_jacobian(point)
+
         velocity *= self.control_period
-        change = self._inverse.solve(jacobian, velocity)
-        change = self._limits(state, change)
+        change = self._limits(state, self._inverse.solve(jacobian, velocity))
         self._diagnostics = {
-            "desired_force": config.grip_force * forces,
+            "desired_force": desired,
             "residual": residual,
             "held": held,
             "origin": origin,
         }
         return check_action(change)
+
+    def _yield(self, velocity: Floats, rate: Floats, state: GraspState, jacobian: Floats) -> None:
+        """Where ``rate`` is above zero, let the set-point go back to the finger, in place."""
+        lead = (state.q_target - state.q)[..., self.hand.finger_joints][..., None, :]
+        deflection = (lead @ jacobian)[..., 0, :]
+        # exact over a control period of any length
+        speed = -np.expm1(-rate * self.control_period) / self.control_period
+        np.copyto(velocity, -speed[..., None] * deflection, where=(rate > 0)[..., None])
 
     def _closing(self, lever: Floats) -> Floats:
         """Velocity across the axis of rotation, towards the object's centre."""

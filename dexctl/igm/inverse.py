@@ -21,38 +21,48 @@ class ContactInverse:
     """
 
     def __init__(self, hand: HandModel, damping: float) -> None:
-        self._nq = hand.nq
+        self._hand = hand
         self._shared = hand.shares_joints
         self._ridge = damping**2 * np.eye(3 * hand.n_fingers if self._shared else 3)
-        if not self._shared:
-            widest = int(hand.moves.sum(axis=1).max())
-            # joints of each finger, padded with a column that is always zero (index nq)
-            self._joints = np.full((hand.n_fingers, widest), hand.nq)
-            for finger, moved in enumerate(hand.moves):
-                own = np.flatnonzero(moved)
-                self._joints[finger, : len(own)] = own
-            self._padded = bool((self._joints == hand.nq).any())
-            # the joints of finger 1, then of finger 2, ...: often just 0, 1, 2, ...
-            flat = self._joints.ravel()
-            self._in_order = flat.size == hand.nq and bool((flat == np.arange(hand.nq)).all())
-            self._rows = np.arange(hand.n_fingers)[:, None]
+        joints = hand.finger_joints.ravel()
+        # the joints of finger 1, then of finger 2, ...: often just 0, 1, 2, ...
+        self._in_order = joints.size == hand.nq and bool((joints == np.arange(hand.nq)).all())
 
-    def solve(self, jacobian: Floats, velocity: Floats) -> Floats:
-        """Joint velocities ``(..., d)`` for J ``(..., m, 3, d)`` and dp ``(..., m, 3)``."""
+    def solve(self, finger_jacobian: Floats, velocity: Floats) -> Floats:
+        """Joint velocities ``(..., d)`` for contact velocities dp ``(..., m, 3)``.
+
+        ``finger_jacobian`` ``(..., m, n, 3)`` is that of `HandConfiguration`.
+        """
         batch = velocity.shape[:-2]
         if self._shared:
-            stacked = jacobian.reshape(*batch, -1, self._nq)
+            stacked = finger_jacobian.swapaxes(-1, -2) @ self._hand.finger_joint_map
+            stacked = stacked.reshape(*batch, -1, self._hand.nq)
             gram = stacked @ stacked.swapaxes(-1, -2) + self._ridge
             weights = np.linalg.solve(gram, velocity.reshape(*batch, -1, 1))
             return (stacked.swapaxes(-1, -2) @ weights)[..., 0]
-        if self._padded:
-            jacobian = np.concatenate([jacobian, np.zeros((*jacobian.shape[:-1], 1))], axis=-1)
-        # own[..., i, j, :] is the column of finger i's j-th joint: J_i transposed
-        own = jacobian.swapaxes(-1, -2)[..., self._rows, self._joints, :]
-        gram = own.swapaxes(-1, -2) @ own + self._ridge
-        motion = (own @ np.linalg.solve(gram, velocity[..., None]))[..., 0]
+        gram = finger_jacobian.swapaxes(-1, -2) @ finger_jacobian
+        gram += self._ridge
+        motion = finger_jacobian @ solve_symmetric3(gram, velocity)[..., None]
         if self._in_order:
-            return motion.reshape(*batch, self._nq)
-        out = np.zeros((*batch, self._nq + 1))
-        out[..., self._joints] = motion
-        return out[..., :-1]
+            return motion.reshape(*batch, -1)
+        return (motion.swapaxes(-1, -2) @ self._hand.finger_joint_map).sum(axis=(-3, -2))
+
+
+def solve_symmetric3(matrix: Floats, right: Floats) -> Floats:
+    """Solve A x = b for symmetric positive definite A ``(..., 3, 3)`` and b ``(..., 3)``.
+
+    By cofactors: for many small systems at once this is several times faster than LAPACK.
+    """
+    if matrix.ndim < 4:
+        return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0], float)
+    a, b, c = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 0, 2]
+    d, e, f = matrix[..., 1, 1], matrix[..., 1, 2], matrix[..., 2, 2]
+    x, y, z = right[..., 0], right[..., 1], right[..., 2]
+    aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
+    scale = 1.0 / (a * aa + b * bb + c * cc)
+    dd, ee, ff = a * f - c * c, b * c - a * e, a * d - b * b
+    out = np.empty_like(right)
+    out[..., 0] = (aa * x + bb * y + cc * z) * scale
+    out[..., 1] = (bb * x + dd * y + ee * z) * scale
+    out[..., 2] = (cc * x + ee * y + ff * z) * scale
+    return out

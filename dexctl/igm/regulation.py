@@ -43,20 +43,21 @@ class Regulation:
         """The correction ``(..., 6)``; 0.0 where nothing is regulated."""
         if not self.active:
             return 0.0
-        self._remember(state, origin)
+        reference = self._remember(state, origin)
         out = np.zeros((*state.batch_shape, 6))
-        out[..., :3] = (self._position - origin) @ self._gain
+        out[..., :3] = (reference - origin) @ self._gain
         if self._tilt_gain and state.object_quaternion is not None and self._quaternion is not None:
             turned = multiply(state.object_quaternion, inverse(self._quaternion))
             out[..., 3:] = self._tilt_gain * cross(rotate(turned, self.axis), self.axis)
         return out
 
-    def _remember(self, state: GraspState, origin: Floats) -> None:
+    def _remember(self, state: GraspState, origin: Floats) -> Floats:
+        """Keep the poses of environments just reset; where the objects were then."""
         quaternion = state.object_quaternion
         if self._position is None:
             self._position, self._quaternion = origin.copy(), quaternion
             self._fresh = np.zeros(state.batch_shape, bool)
-            return
+            return self._position
         if self._position.shape != origin.shape:
             raise InvalidInput(
                 f"the controller was reset for batch shape {self._position.shape[:-1]} and got "
@@ -68,3 +69,4 @@ class Regulation:
             if quaternion is not None and self._quaternion is not None:
                 self._quaternion = np.where(fresh, quaternion, self._quaternion)
             self._fresh = np.zeros(state.batch_shape, bool)
+        return self._position

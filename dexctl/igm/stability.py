@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dexctl.grasp import stability_forces
 from dexctl.grasp.stability_solver import solve_stability, solve_stability_batch
@@ -23,7 +24,7 @@ class StableForces(NamedTuple):
 
     forces: Floats
     residual: Floats
-    held: Floats | int
+    held: NDArray[np.intp] | int
 
 
 def stable_forces(
@@ -81,3 +82,22 @@ def _single(
     found, held = solve_stability(hessian, lower.tolist(), upper.tolist(), regulariser)
     forces[active] = found
     return forces, int(active[held]) if held >= 0 else -1
+
+
+def push_directions(normal: Floats, lever: Floats, friction: float) -> Floats:
+    """In which directions fingers push: within a friction cone of the normal, to the centre.
+
+    Forces through the object's centre balance each other where those along the normals cannot:
+    near the edges of flat faces, and on faces that all lean the same way. ``normal`` and
+    ``lever`` (contact from centre) are ``(..., m, 3)``; zero normals stay zero.
+    """
+    if friction == 0:
+        return normal
+    along = -(lever * normal).sum(axis=-1, keepdims=True)
+    aside = -lever - along * normal
+    size = np.sqrt((aside * aside).sum(axis=-1, keepdims=True))
+    # tangent of the angle from the normal; a centre behind the surface counts as far aside
+    slope = np.minimum(size / np.maximum(along, 1e-9), friction)
+    direction = normal + slope * aside / np.maximum(size, 1e-9)
+    held = (normal * normal).sum(axis=-1, keepdims=True) > 0  # rows out of contact stay zero
+    return np.where(held, direction / np.sqrt(1.0 + slope * slope), 0.0)

@@ -2,20 +2,28 @@
 
 The finger moves in Cartesian space: away from the object along the normal it touched, round the
 axis of the wanted rotation at a clearance, and in again until it touches. Nothing is known of the
-object's shape but the tangent planes that were touched.
+object's shape but the planes that were touched.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dexctl.hand import HandConfiguration, HandModel
-from dexctl.rotations import cross
+from dexctl.configuration import HandConfiguration
+from dexctl.exceptions import InvalidInput
+from dexctl.hand import HandModel
 from dexctl.state import Bools, Floats, GraspState
+from dexctl.switch.landing import Landing, round_the_axis, unit_across
+from dexctl.switch.paths import JointPath, SwingPaths
+from dexctl.validation import check_numbers
+
+Indices = NDArray[np.intp]
+PATHS = ("jacobian", "planned")
 
 
 class Phase(IntEnum):
@@ -34,47 +42,70 @@ class GuardedSwitchConfig:
     """Settings of `GuardedSwitch`; speeds are per second.
 
     Attributes:
+        path: "jacobian" follows the path with the finger's Jacobian; "planned" optimises the
+            swing first (`SwingPlanner`) and falls back where no plan is feasible.
         unload_time: over which the finger's share of the grip goes to zero [s].
+        yield_rate: at which an unloading finger's set-point goes back to the finger [1/s].
         unloaded_force: normal force below which the finger may lift [N].
-        clearance: distance from the touched surface while the finger is carried [m].
+        clearance: distance of the tip from the touched surface while it is carried [m].
         lift_speed, carry_speed, place_speed: of the fingertip [m/s].
         place_depth: how far beyond the expected surface to look for touch [m].
-        time_limit: a phase that takes longer gives up: the finger goes back to whoever
-            closes in on the object [s].
-        load_time: over which the finger's share of the grip comes back [s].
         touch_force: normal force that counts as touch while placing [N].
+        load_time: over which the finger's share of the grip comes back [s].
+        time_limit: a phase that takes longer gives up [s]; see `GuardedSwitch`.
+        far_distance: a tip that has to go further than this is carried along joint angles from
+            inverse kinematics (`FingerIK`) instead of the Jacobian [m].
+        damping: of the finger's damped least-squares inverse [m].
     """
 
-    unload_time: float = 0.4
+    path: str = "jacobian"
+    unload_time: float = 0.3
+    yield_rate: float = 10.0
     unloaded_force: float = 0.2
     clearance: float = 0.018
-    lift_speed: float = 0.10
-    carry_speed: float = 0.12
+    lift_speed: float = 0.15
+    carry_speed: float = 0.2
     place_speed: float = 0.06
     place_depth: float = 0.03
-    time_limit: float = 2.0
-    load_time: float = 0.3
     touch_force: float = 0.05
+    load_time: float = 0.2
+    time_limit: float = 2.0
+    far_distance: float = 0.12
+    damping: float = 0.01
 
-
-class Landing(NamedTuple):
-    """Where fingers are to be put down, one for each hand.
-
-    Attributes:
-        point: expected contact point ``(N, 3)`` [m].
-        normal: expected unit normal there, from the fingertip into the object ``(N, 3)``.
-    """
-
-    point: Floats
-    normal: Floats
+    def __post_init__(self) -> None:
+        if self.path not in PATHS:
+            raise InvalidInput(f"path is {self.path!r}; expected one of {', '.join(PATHS)}")
+        check_numbers(
+            self,
+            positive=(
+                "unload_time",
+                "yield_rate",
+                "clearance",
+                "lift_speed",
+                "carry_speed",
+                "place_speed",
+                "load_time",
+                "time_limit",
+                "far_distance",
+                "damping",
+            ),
+            not_negative=("unloaded_force", "place_depth", "touch_force"),
+        )
 
 
 class GuardedSwitch:
-    """One switching finger in each of N hands; the state machine and the finger's motion.
+    """One switching finger in each of N hands: the phases, and the finger's motion.
+
+    While a finger unloads and loads it still belongs to whoever holds the object, who is told by
+    `max_force` and `yielding` what share of the grip it may take. From lift to touch it is moved
+    by `command`. Touch ends placing. Time limits give up safely: a finger that cannot be
+    unloaded, or that `may_lift` refuses, is loaded again; one that finds nothing to touch is
+    handed back in the air, for its holder to close in with.
 
     Args:
         hand: the hand.
-        axis: the axis that fingers are carried round, unit vector.
+        axis: unit vector; fingers are carried round it.
         config: the settings.
         control_period: [s].
     """
@@ -86,7 +117,10 @@ class GuardedSwitch:
         self.config = config
         self.axis = axis
         self._dt = control_period
-        self._own = hand.moves & (hand.moves.sum(axis=0) == 1)
+        own = hand.moves & (hand.moves.sum(axis=0) == 1)
+        # a wrist's joints stay out of it: only the finger's own rows of its Jacobian count
+        self._own_rows = np.take_along_axis(own, hand.finger_joints, axis=1)[..., None]
+        self._swings = SwingPaths(hand, axis, config.clearance, config.carry_speed)
         self.start(0)
 
     def start(self, count: int) -> None:
@@ -95,9 +129,11 @@ class GuardedSwitch:
         self.finger = np.full(count, -1)
         self.clock = np.zeros(count)
         self._outward = np.zeros((count, 3))
-        self._lift_point = np.zeros((count, 3))
+        self._lift_tip = np.zeros((count, 3))
+        self._radius = np.zeros(count)
         self._landing = Landing(np.zeros((count, 3)), np.zeros((count, 3)))
         self._anchor = np.zeros((count, 3))
+        self._paths: dict[int, JointPath] = {}
 
     def clear(self, mask: Bools) -> None:
         """Idle again in the hands in ``mask``."""
@@ -108,159 +144,213 @@ class GuardedSwitch:
     @property
     def released(self) -> Bools:
         """Fingers that belong to the switch, ``(N, m)``."""
-        owned = (self.phase >= Phase.LIFT) & (self.phase <= Phase.PLACE)
-        return self._one_hot(owned)
+        return self._one_hot((self.phase >= Phase.LIFT) & (self.phase <= Phase.PLACE))
+
+    @property
+    def yielding(self) -> Floats:
+        """Rate at which set-points go back to their fingers, ``(N, m)`` [1/s]."""
+        return np.where(self._one_hot(self.phase == Phase.UNLOAD), self.config.yield_rate, 0.0)
 
     @property
     def max_force(self) -> Floats:
         """Share of the grip that each finger may take, ``(N, m)``: ramps of unloading, loading."""
-        config = self.config
-        ramp = np.ones(len(self.phase))
-        falling, rising = self.phase == Phase.UNLOAD, self.phase == Phase.LOAD
-        ramp[falling] = 1.0 - self.clock[falling] / config.unload_time
-        ramp[rising] = self.clock[rising] / config.load_time
         share = np.ones((len(self.phase), self.hand.n_fingers))
-        busy = falling | rising
-        share[busy, self.finger[busy]] = np.clip(ramp[busy], 0.0, 1.0)
+        falling, rising = self.phase == Phase.UNLOAD, self.phase == Phase.LOAD
+        for rows, ramp in (
+            (falling, 1.0 - self.clock[falling] / self.config.unload_time),
+            (rising, self.clock[rising] / self.config.load_time),
+        ):
+            share[rows, self.finger[rows]] = np.clip(ramp, 0.0, 1.0)
         return share
 
-    def begin(self, mask: Bools, finger: np.ndarray, origin: Floats, landing: Landing) -> None:
+    def begin(self, mask: Bools, finger: Indices, origin: Floats, landing: Landing) -> None:
         """Start a switch of ``finger`` ``(N,)`` in the idle hands in ``mask``.
 
         ``landing`` is where it shall come down, ``origin`` ``(N, 3)`` the object's centre now:
-        both move on with the object until the finger lands.
+        the landing moves on with the object until the finger lifts.
         """
         self.phase[mask] = Phase.UNLOAD
         self.finger[mask] = finger[mask]
         self.clock[mask] = 0.0
-        self._landing.point[mask] = landing.point[mask]
+        self._landing.tip[mask] = landing.tip[mask]
         self._landing.normal[mask] = landing.normal[mask]
         self._anchor[mask] = origin[mask]
 
     def command(
-        self, state: GraspState, now: HandConfiguration, target: HandConfiguration, origin: Floats
+        self,
+        state: GraspState,
+        now: HandConfiguration,
+        origin: Floats,
+        may_lift: Callable[[Indices, Indices], Bools] | None = None,
     ) -> Floats:
         """Advance the phases by one control period; the set-point change ``(N, d)``.
 
-        ``now`` and ``target`` are the hand at ``q`` and at ``q_target``.
+        Args:
+            state: of N hands.
+            now: the hands at ``state.q``.
+            origin: the objects' centres, ``(N, 3)`` [m].
+            may_lift: asked at the moment of lifting with the hands and their fingers; the last
+                word on whether the others can hold the object. None: always.
         """
-        self._advance(state, now, origin)
+        self._advance(state, now, origin, may_lift)
         change = np.zeros_like(state.q)
         moving = np.flatnonzero((self.phase >= Phase.LIFT) & (self.phase <= Phase.PLACE))
+        if self._paths:
+            on_path = np.array([row in self._paths for row in moving], bool)
+            for row in moving[on_path]:
+                path = self._paths[row]
+                change[row, path.joints] = (
+                    path.at(float(self.clock[row])) - state.q_target[row, path.joints]
+                )
+            moving = moving[~on_path]
         if len(moving):
-            finger = self.finger[moving]
-            setpoint = target.fingertip_position[moving, finger]
-            measured = now.fingertip_position[moving, finger]
-            step = self._tip_step(moving, setpoint, measured, origin[moving])
-            change[moving] = self._joint_step(moving, finger, target, step)
+            self._follow(moving, state, now, origin, change)
         return change
 
     # -- phases -----------------------------------------------------------------------------
 
-    def _advance(self, state: GraspState, now: HandConfiguration, origin: Floats) -> None:
+    def _advance(
+        self,
+        state: GraspState,
+        now: HandConfiguration,
+        origin: Floats,
+        may_lift: Callable[[Indices, Indices], Bools] | None,
+    ) -> None:
         config = self.config
         self.clock += self._dt
         busy = np.flatnonzero(self.phase)
+        if not len(busy):
+            return
         finger = self.finger[busy]
         touch = state.in_contact[busy, finger]
         force = np.where(touch, state.contact_force[busy, finger], 0.0)
         tip = now.fingertip_position[busy, finger]
         phase, clock = self.phase[busy], self.clock[busy]
+        late = clock > config.time_limit
 
-        free = (force < config.unloaded_force) & (clock >= config.unload_time)
-        lift = (phase == Phase.UNLOAD) & (free | (clock >= config.time_limit))
-        where = busy[lift]
-        self._outward[where] = np.where(
-            touch[lift, None], -state.contact_normal[where, self.finger[where]], 0.0
-        )
-        lost = ~touch[lift]
-        self._outward[where[lost]] = _across(tip[lift][lost] - origin[where[lost]], self.axis)
-        self._lift_point[where] = tip[lift]
-        # the landing was chosen before unloading: it has moved with the object since
-        self._landing.point[where] += origin[where] - self._anchor[where]
-
-        risen = ((tip - self._lift_point[busy]) * self._outward[busy]).sum(axis=-1)
+        lift = (phase == Phase.UNLOAD) & (force < config.unloaded_force)
+        lift &= clock >= config.unload_time
+        refused = (phase == Phase.UNLOAD) & late & ~lift
+        if may_lift is not None and lift.any():
+            asked = np.flatnonzero(lift)
+            lift[asked] = may_lift(busy[asked], finger[asked])
+            refused[asked] |= ~lift[asked]
+        risen = ((tip - self._lift_tip[busy]) * self._outward[busy]).sum(axis=-1)
         carry = (phase == Phase.LIFT) & ((risen > 0.7 * config.clearance) | (clock > 0.5))
-        above = self._landing.point[busy] - config.clearance * self._landing.normal[busy]
-        near = np.linalg.norm(tip - above, axis=-1) < 0.008
-        place = (phase == Phase.CARRY) & (near | (clock > config.time_limit))
+        above = self._above(busy)
+        near = np.sqrt(((tip - above) ** 2).sum(axis=-1)) < 0.008
+        place = (phase == Phase.CARRY) & (near | late)
+        for i in np.flatnonzero(carry | (phase == Phase.CARRY)) if self._paths else ():
+            path = self._paths.get(int(busy[i]))
+            if path is not None:  # a path spans lifting and carrying
+                place[i] = clock[i] >= path.time[-1] + 2 * self._dt
+                carry[i] = False
         land = (phase == Phase.PLACE) & touch & (force >= config.touch_force)
-        give_up = (phase == Phase.PLACE) & ~land & (clock > config.time_limit)
+        lost = (phase == Phase.PLACE) & ~land & late
         loaded = (phase == Phase.LOAD) & (clock >= config.load_time)
         for moved, following in (
             (lift, Phase.LIFT),
             (carry, Phase.CARRY),
             (place, Phase.PLACE),
-            (land, Phase.LOAD),
-            (give_up | loaded, Phase.IDLE),
+            (land | refused, Phase.LOAD),
+            (lost | loaded, Phase.IDLE),
         ):
             self.phase[busy[moved]] = following
             self.clock[busy[moved]] = 0.0
-        self.finger[busy[give_up | loaded]] = -1
+        self.finger[busy[lost | loaded]] = -1
+        if lift.any():
+            self._leave(busy[lift], touch[lift], tip[lift], state, origin)
+        if carry.any():
+            distance = np.sqrt(((tip - above) ** 2).sum(axis=-1))
+            for i in np.flatnonzero(carry & (distance > config.far_distance)):
+                row = int(busy[i])
+                path = self._swings.far(state.q[row], int(finger[i]), tip[i], above[i], origin[row])
+                if path is not None:
+                    self._paths[row] = path
+        for row in busy[place | lost] if self._paths else ():
+            self._paths.pop(int(row), None)
+
+    def _leave(
+        self, rows: Indices, touch: Bools, tip: Floats, state: GraspState, origin: Floats
+    ) -> None:
+        """Note where fingers lift, and plan their swings where that is wanted."""
+        finger = self.finger[rows]
+        normal = state.contact_normal[rows, finger]
+        inward = np.where(touch[:, None], normal, unit_across(origin[rows] - tip, self.axis))
+        self._outward[rows] = -inward
+        self._lift_tip[rows] = tip
+        # the landing was chosen before unloading: it has moved with the object since
+        self._landing.tip[rows] += origin[rows] - self._anchor[rows]
+        if self.config.path != "planned":
+            return
+        for i, row in enumerate(rows):
+            landing = Landing(self._landing.tip[row], self._landing.normal[row])
+            contact = state.contact_position[row, finger[i]] if touch[i] else tip[i]
+            path = self._swings.planned(
+                state.q[row], int(finger[i]), tip[i], contact, inward[i], landing
+            )
+            if path is not None:
+                self._paths[int(row)] = path
+                self.phase[row] = Phase.CARRY
 
     # -- motion -----------------------------------------------------------------------------
 
-    def _tip_step(
-        self, moving: np.ndarray, setpoint: Floats, measured: Floats, origin: Floats
-    ) -> Floats:
-        """How far each moving finger's tip set-point shall go in this period, ``(M, 3)``."""
-        config = self.config
-        phase = self.phase[moving]
-        landing, normal = self._landing.point[moving], self._landing.normal[moving]
-        above = landing - config.clearance * normal
-        goal = np.empty_like(setpoint)
-        speed = np.empty(len(moving))
+    def _above(self, rows: Indices) -> Floats:
+        """Where the tips are before they come down, ``(M, 3)``."""
+        return self._landing.tip[rows] - self.config.clearance * self._landing.normal[rows]
 
-        lift = phase == Phase.LIFT
-        goal[lift] = (self._lift_point[moving] + config.clearance * self._outward[moving])[lift]
-        speed[lift] = config.lift_speed
-        carry = phase == Phase.CARRY
-        goal[carry] = self._round_the_axis(measured, above, origin)[carry]
-        speed[carry] = config.carry_speed
-        place = phase == Phase.PLACE
-        goal[place] = (landing + config.place_depth * normal)[place]
+    def _follow(
+        self,
+        rows: Indices,
+        state: GraspState,
+        now: HandConfiguration,
+        origin: Floats,
+        change: Floats,
+    ) -> None:
+        """Move the tips of the fingers in ``rows`` along their paths with their Jacobians."""
+        config = self.config
+        finger = self.finger[rows]
+        tip = now.fingertip_position[rows, finger]
+        jacobian = self._tip_jacobian(rows, now)
+        joints = self.hand.finger_joints[finger]
+        lead = np.take_along_axis(state.q_target[rows] - state.q[rows], joints, axis=1)
+        setpoint = tip + (lead[:, None] @ jacobian)[:, 0]
+
+        phase = self.phase[rows]
+        lift, place = phase == Phase.LIFT, phase == Phase.PLACE
+        goal = round_the_axis(tip, self._above(rows), origin[rows], self.axis)
+        # a carried finger that meets the object keeps off it
+        bump = (phase == Phase.CARRY) & state.in_contact[rows, finger]
+        goal[bump] -= config.clearance * state.contact_normal[rows, finger][bump]
+        goal[lift] = (self._lift_tip[rows] + config.clearance * self._outward[rows])[lift]
+        deep = self._landing.tip[rows] + config.place_depth * self._landing.normal[rows]
+        goal[place] = deep[place]
+        speed = np.where(lift, config.lift_speed, config.carry_speed)
         speed[place] = config.place_speed
 
-        # the set-point leads the tip, but not by more than the tip covers in a few periods
-        lead = np.maximum(2.0 * speed * self._dt, 0.008)
-        step = goal - measured
-        distance = np.linalg.norm(step, axis=-1)
-        aim = measured + step * np.minimum(1.0, lead / np.maximum(distance, 1e-9))[:, None]
+        # the set-point leads the tip, but by no more than the tip covers in a tenth of a second
+        step = goal - tip
+        reach = np.maximum(0.1 * speed, 0.008)
+        aim = tip + step * np.minimum(1.0, reach / _length(step))[:, None]
         step = aim - setpoint
-        distance = np.linalg.norm(step, axis=-1)
-        # the first step after unloading takes the pressed-in set-point back to the tip at once
-        limit = np.maximum(speed * self._dt, 0.0)
-        return step * np.minimum(1.0, limit / np.maximum(distance, 1e-9))[:, None]
+        step *= np.minimum(1.0, speed * self._dt / _length(step))[:, None]
+        change[rows] = self._joint_motion(finger, jacobian, step)
 
-    def _round_the_axis(self, tip: Floats, goal: Floats, origin: Floats) -> Floats:
-        """A goal a little way along the arc from ``tip`` to ``goal`` round the object's axis."""
-        axis = self.axis
-        a, b = tip - origin, goal - origin
-        height_a, height_b = a @ axis, b @ axis
-        flat_a, flat_b = a - height_a[:, None] * axis, b - height_b[:, None] * axis
-        radius_a, radius_b = np.linalg.norm(flat_a, axis=-1), np.linalg.norm(flat_b, axis=-1)
-        angle = np.arctan2(cross(flat_a, flat_b) @ axis, (flat_a * flat_b).sum(axis=-1))
-        part = np.clip(0.25 / np.maximum(np.abs(angle), 1e-9), 0.0, 1.0)
-        turn = part * angle
-        unit = flat_a / np.maximum(radius_a, 1e-9)[:, None]
-        side = cross(np.broadcast_to(axis, unit.shape), unit)
-        direction = np.cos(turn)[:, None] * unit + np.sin(turn)[:, None] * side
-        # outside both ends until the last piece of the arc: corners stick out between faces
-        outer = np.maximum(radius_a, radius_b)
-        radius = np.where(part < 1.0, outer, radius_b)
-        height = height_a + part * (height_b - height_a)
-        return origin + radius[:, None] * direction + height[:, None] * axis
+    def tip_motion(self, rows: Indices, now: HandConfiguration, step: Floats) -> Floats:
+        """Change of joints ``(M, d)`` that moves the switching tips of ``rows`` by ``step`` [m]."""
+        finger = self.finger[rows]
+        return self._joint_motion(finger, self._tip_jacobian(rows, now), step)
 
-    def _joint_step(
-        self, moving: np.ndarray, finger: np.ndarray, target: HandConfiguration, step: Floats
-    ) -> Floats:
-        """Joint change ``(M, d)`` of the finger's own joints that moves its tip by ``step``."""
-        tips = target.fingertip_position[moving]
-        moved = HandConfiguration(tips, target.joint_twist[moving], target.moves)
-        rows = np.arange(len(moving))
-        jacobian = moved.contact_jacobian(tips)[rows, finger] * self._own[finger][:, None, :]
-        gram = jacobian @ jacobian.swapaxes(-1, -2) + 0.01**2 * np.eye(3)
-        return (jacobian.swapaxes(-1, -2) @ np.linalg.solve(gram, step[..., None]))[..., 0]
+    def _tip_jacobian(self, rows: Indices, now: HandConfiguration) -> Floats:
+        """Of the switching fingertips in ``rows``, by the fingers' own joints, ``(M, n, 3)``."""
+        finger = self.finger[rows]
+        jacobian = now[rows].finger_jacobian(now.fingertip_position[rows])
+        return jacobian[np.arange(len(rows)), finger] * self._own_rows[finger]
+
+    def _joint_motion(self, finger: Indices, jacobian: Floats, step: Floats) -> Floats:
+        gram = jacobian.swapaxes(-1, -2) @ jacobian + self.config.damping**2 * np.eye(3)
+        motion = (jacobian @ np.linalg.solve(gram, step[..., None]))[..., 0]
+        return (motion[:, None] @ self.hand.finger_joint_map[finger])[:, 0]
 
     def _one_hot(self, mask: Bools) -> Bools:
         out = np.zeros((len(self.phase), self.hand.n_fingers), bool)
@@ -268,7 +358,5 @@ class GuardedSwitch:
         return out
 
 
-def _across(vector: Floats, axis: Floats) -> Floats:
-    """The unit part of ``vector`` ``(..., 3)`` across ``axis``."""
-    flat = vector - (vector @ axis)[..., None] * axis
-    return flat / np.maximum(np.linalg.norm(flat, axis=-1, keepdims=True), 1e-9)
+def _length(vectors: Floats) -> Floats:
+    return np.maximum(np.sqrt((vectors * vectors).sum(axis=-1)), 1e-9)

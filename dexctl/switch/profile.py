@@ -165,7 +165,7 @@ class SwitchProfile:
         may = ~self.active if mask is None else ~self.active & np.asarray(mask, bool)
         may &= state.in_contact.any(axis=-1)
         draw = self._random().uniform((3,), may)
-        chosen = _random_contact(state.in_contact, draw[..., 0]) if finger is None else finger
+        chosen = random_contact(state.in_contact, draw[..., 0]) if finger is None else finger
         chosen = np.broadcast_to(np.asarray(chosen), state.batch_shape)
         if chosen.dtype.kind not in "iu" or np.any((chosen < -1) | (chosen >= self.hand.n_fingers)):
             raise InvalidInput(
@@ -265,7 +265,7 @@ class SwitchProfile:
         return self._streams
 
 
-def _random_contact(in_contact: Bools, draw: Floats) -> Indices:
+def random_contact(in_contact: Bools, draw: Floats) -> Indices:
     """The finger in contact that ``draw`` in [0, 1) falls on, ``(...)``; -1 where none is."""
     order = np.cumsum(in_contact, axis=-1)
     count = order[..., -1]

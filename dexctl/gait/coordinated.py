@@ -1,0 +1,227 @@
+"""CoordinatedGait: turns an object without end, one guarded finger switch after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.controller import Controller, check_action, check_state
+from dexctl.exceptions import InvalidInput
+from dexctl.gait.selection import Grasps, choose, holds_without
+from dexctl.hand import HandModel
+from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
+from dexctl.limits import SetPointLimits
+from dexctl.state import Floats, GraspState
+from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Phase
+from dexctl.switch.landing import azimuth, landing_at, split, turned
+from dexctl.validation import check_numbers
+
+
+def _turning() -> InGraspManipulationConfig:
+    return InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.35))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoordinatedGaitConfig:
+    """Settings of `CoordinatedGait`; angles are about the axis of the wanted rotation.
+
+    Attributes:
+        in_grasp: of in-grasp manipulation; its twist is the wanted motion.
+        switch: of the guarded switch.
+        swing: fingers land this far, against the rotation, from where they were at the reset
+            [rad].
+        least_travel: fingers that have come less than this from their landing stay down [rad].
+        most_travel, slow_down: the object stops before a finger is ``most_travel`` past where it
+            was at the reset, and slows down over the last ``slow_down`` before it [rad].
+        pause: between two switches of a hand [s].
+        friction: assumed by the force-closure guard.
+        hold_force: fingers count as holding from this normal force on [N].
+        residual_weight: what a wrench left by the others counts against a finger's travel [rad].
+        residual_limit: no finger is lifted that leaves more than this, as a share of the grip.
+    """
+
+    in_grasp: InGraspManipulationConfig = field(default_factory=_turning)
+    switch: GuardedSwitchConfig = field(default_factory=GuardedSwitchConfig)
+    swing: float = 0.45
+    least_travel: float = 0.3
+    most_travel: float = 0.5
+    slow_down: float = 0.2
+    pause: float = 0.1
+    friction: float = 0.8
+    hold_force: float = 0.3
+    residual_weight: float = 1.0
+    residual_limit: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive=("most_travel", "slow_down", "friction", "residual_limit"),
+            not_negative=("swing", "least_travel", "pause", "hold_force", "residual_weight"),
+        )
+        if not any(self.in_grasp.twist[3:]):
+            raise InvalidInput(
+                f"in_grasp.twist is {self.in_grasp.twist}; a gait needs a rotation (last three)"
+            )
+
+
+class CoordinatedGait(Controller):
+    """In-grasp manipulation and the guarded switch, coordinated.
+
+    The finger that has gone furthest with the object is switched back, when the others hold:
+    they press firmly, what wrench they leave is small, and they are a force closure, which is
+    checked when the finger starts to unload and again when it is about to lift. The object turns
+    all the while and slows down where the furthest finger nears its end, so that no finger runs
+    out of reach while it waits for its turn.
+
+    A finger belongs to in-grasp manipulation until it lifts and to the switch from then until it
+    touches: the two actions are in the diagnostics, and their inner product is zero.
+
+    Where nothing tracks the object, the point about which it was turned at the reset stands in
+    for its centre.
+
+    Args:
+        hand: the hand; four fingers or more to gait with.
+        config: the settings; keyword arguments change single ones.
+        control_period: [s].
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        config: CoordinatedGaitConfig | None = None,
+        *,
+        control_period: float = 0.05,
+        **changes: Any,
+    ) -> None:
+        super().__init__(hand, control_period=control_period)
+        self.config = replace(config or CoordinatedGaitConfig(), **changes)
+        self.in_grasp = InGraspManipulation(
+            hand, self.config.in_grasp, control_period=control_period
+        )
+        self._twist = np.array(self.config.in_grasp.twist, float)
+        self.axis = self._twist[3:] / np.linalg.norm(self._twist[3:])
+        self.switch = GuardedSwitch(hand, self.axis, self.config.switch, control_period)
+        speed = self.config.in_grasp.max_joint_speed
+        self._limits = SetPointLimits(hand, speed, np.inf, control_period)
+        self._fresh: np.ndarray | None = None
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        self.in_grasp.reset(seed, mask)
+        if mask is None or self._fresh is None:
+            self._fresh = None
+        else:
+            self._fresh = self._fresh | np.asarray(mask, bool)
+
+    def act(self, state: GraspState) -> Floats:
+        check_state(self.hand, state)
+        if state.batch_shape:
+            return self._act(state)
+        action = self._act(state[None])[0]
+        self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
+        return action
+
+    def _act(self, state: GraspState) -> Floats:
+        now = self.hand.configuration(state.q)
+        tip = now.fingertip_position
+        self._meet(state, tip)
+        if state.object_position is None:
+            state = replace(state, object_position=self._reference)
+        origin = np.asarray(state.object_position)
+        flat = split(tip - origin[:, None], self.axis)[1]
+        angle = azimuth(self._neutral, flat, self.axis)
+
+        normal = np.where(state.in_contact[..., None], state.contact_normal, 0.0)
+        point = np.where(state.in_contact[..., None], state.contact_position, tip)
+        firm = state.in_contact & (state.contact_force > self.config.hold_force)
+        grasps = Grasps(point, normal, state.in_contact, firm, origin)
+        self._begin(grasps, angle, flat)
+
+        def may_lift(rows: np.ndarray, finger: np.ndarray) -> np.ndarray:
+            return holds_without(grasps.of(rows), finger, self.config.friction)
+
+        switching = self.switch.command(state, now, origin, may_lift)
+        switching = self._limits(state, switching)
+        released = self.switch.released
+        furthest = np.where(state.in_contact & ~released, angle, -np.inf).max(axis=1)
+        pace = np.clip((self.config.most_travel - furthest) / self.config.slow_down, 0.0, 1.0)
+        share = Share(
+            released=released,
+            max_force=self.switch.max_force,
+            twist=pace[:, None] * self._twist,
+            yielding=self.switch.yielding,
+        )
+        holding = self.in_grasp.command(state, share, now)
+        self._diagnostics = {
+            **self.in_grasp.diagnostics,
+            "phase": self.switch.phase.copy(),
+            "finger": self.switch.finger.copy(),
+            "azimuth": angle,
+            "pace": pace,
+            "in_grasp_action": holding,
+            "switch_action": switching,
+        }
+        return check_action(holding + switching)
+
+    def _meet(self, state: GraspState, tip: Floats) -> None:
+        """Allocate for a batch met for the first time; take references of those just reset."""
+        count = len(state.q)
+        if self._fresh is None:
+            self.switch.start(count)
+            self._fresh = np.ones(count, bool)
+            self._neutral = np.zeros((count, self.hand.n_fingers, 3))
+            self._reference = np.zeros((count, 3))
+            self._wait = np.zeros(count)
+        if len(self._fresh) != count:
+            raise InvalidInput(
+                f"the controller was reset for {len(self._fresh)} hands and got {count}; call "
+                "reset() before the batch shape changes"
+            )
+        if not self._fresh.any():
+            return
+        fresh = self._fresh
+        touch = state.in_contact[fresh, :, None]
+        point = np.where(touch, state.contact_position[fresh], tip[fresh])
+        # without any touch the tips themselves stand round the place where an object would be
+        weight = np.where(touch.any(axis=1, keepdims=True), touch, True).astype(float)
+        centre = (weight * point).sum(axis=1) / weight.sum(axis=1)
+        if state.object_position is not None:
+            centre = state.object_position[fresh]
+        self._reference[fresh] = centre
+        flat = split(tip[fresh] - centre[:, None], self.axis)[1]
+        length = np.sqrt((flat * flat).sum(axis=-1, keepdims=True))
+        self._neutral[fresh] = flat / np.maximum(length, 1e-9)
+        self._wait[fresh] = 0.0
+        self.switch.clear(fresh)
+        self._fresh = np.zeros(count, bool)
+
+    def _begin(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
+        """Start switches where none is under way and a finger can be spared."""
+        config = self.config
+        busy = self.switch.phase != Phase.IDLE
+        self._wait = np.where(busy, config.pause, self._wait - self.control_period)
+        ready = np.flatnonzero(~busy & (self._wait <= 0.5 * self.control_period))
+        if not len(ready):
+            return
+        choice = choose(
+            grasps.of(ready),
+            angle[ready] + config.swing,
+            least_travel=config.least_travel,
+            residual_weight=config.residual_weight,
+            residual_limit=config.residual_limit,
+            push_friction=config.in_grasp.friction,
+            friction=config.friction,
+        )
+        if not choice.found.any():
+            return
+        rows = np.arange(len(busy))
+        begin = np.zeros(len(busy), bool)
+        finger = np.zeros(len(busy), int)
+        begin[ready], finger[ready] = choice.found, choice.finger
+        direction = turned(self._neutral[rows, finger], -config.swing, self.axis)
+        radius = np.sqrt((flat[rows, finger] ** 2).sum(axis=-1))
+        self.switch.begin(
+            begin, finger, grasps.origin, landing_at(grasps.origin, direction, radius)
+        )

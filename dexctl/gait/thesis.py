@@ -1,0 +1,84 @@
+"""FingerGaiting: the gait of the thesis, with a finger switched at random."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.controller import Controller, check_action, check_state
+from dexctl.hand import HandModel
+from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
+from dexctl.state import Floats, GraspState
+from dexctl.switch.profile import SwitchProfile
+
+
+@dataclass(frozen=True, kw_only=True)
+class FingerGaitingConfig:
+    """Settings of `FingerGaiting`.
+
+    Attributes:
+        in_grasp: of in-grasp manipulation; the thesis's by default.
+        duration: of one switch [s]; the thesis's H is duration / control_period (not published).
+        speed: joint speeds of a switch are drawn between these [rad/s].
+    """
+
+    in_grasp: InGraspManipulationConfig = field(default_factory=InGraspManipulationConfig.thesis)
+    duration: float = 1.0
+    speed: tuple[float, float] = (0.1, 0.4)
+
+
+class FingerGaiting(Controller):
+    """psi_FG = psi_IGM + psi_CS (thesis chapter 4): one random finger after the other switches.
+
+    The finger that switches follows a fixed velocity profile; in-grasp manipulation turns the
+    object with the others. Nothing coordinates the two, so the object is dropped within seconds:
+    it is a prior for learning, not a way to hold things (`CoordinatedGait` is).
+
+    Args:
+        hand: the hand; every finger needs three joints of its own.
+        config: the settings; keyword arguments change single ones.
+        control_period: [s].
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        config: FingerGaitingConfig | None = None,
+        *,
+        control_period: float = 0.05,
+        **changes: Any,
+    ) -> None:
+        super().__init__(hand, control_period=control_period)
+        self.config = replace(config or FingerGaitingConfig(), **changes)
+        self.in_grasp = InGraspManipulation(
+            hand, self.config.in_grasp, control_period=control_period
+        )
+        axis = np.array(self.config.in_grasp.twist[3:])
+        self.profile = SwitchProfile(
+            hand,
+            duration=self.config.duration,
+            speed=self.config.speed,
+            axis=axis if axis.any() else (0.0, 0.0, 1.0),
+            control_period=control_period,
+        )
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        self.in_grasp.reset(seed, mask)
+        self.profile.reset(seed, mask)
+
+    def act(self, state: GraspState) -> Floats:
+        check_state(self.hand, state)
+        self.profile.begin(state)
+        switching, finger = self.profile.switching, self.profile.finger
+        moved = self.profile.act(state)
+        held = self.in_grasp.command(state, Share(released=switching))
+        self._diagnostics = {
+            **self.in_grasp.diagnostics,
+            "finger": finger,
+            "in_grasp_action": held,
+            "switch_action": moved,
+        }
+        return check_action(held + moved)

@@ -1,0 +1,228 @@
+"""ContactSwitch: switches one finger after the other by itself (psi_CS of the thesis)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.controller import Controller, check_action, check_state
+from dexctl.exceptions import InvalidInput
+from dexctl.grasp import is_force_closure
+from dexctl.hand import HandModel
+from dexctl.state import Bools, Floats, GraspState
+from dexctl.streams import Streams
+from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Indices, Phase
+from dexctl.switch.landing import landing_at, split, turned, unit_across
+from dexctl.switch.profile import SwitchProfile, random_contact
+from dexctl.validation import check_numbers
+
+KINDS = ("profile", "guarded")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactSwitchConfig:
+    """Settings of `ContactSwitch`.
+
+    Attributes:
+        kind: "profile" is the thesis's fixed trajectory of joint speeds; "guarded" unloads,
+            lifts, places and loads in Cartesian space, and only where the others can hold.
+        axis: of the object's rotation; fingers are moved against it.
+        duration, speed: of the profile [s], [rad/s] (see `SwitchProfile`).
+        switch: of the guarded switch.
+        swing: how far a guarded switch carries a finger about the axis [rad].
+        pause: between two guarded switches [s].
+        friction: assumed by the force-closure guard.
+        hold_force: normal force to which a placed finger is loaded [N].
+        stability_gain: set-point speed per force error while loading [m/(N s)].
+    """
+
+    kind: str = "profile"
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    duration: float = 1.0
+    speed: tuple[float, float] = (0.1, 0.4)
+    switch: GuardedSwitchConfig = field(default_factory=GuardedSwitchConfig)
+    swing: float = 0.4
+    pause: float = 0.5
+    friction: float = 0.8
+    hold_force: float = 1.5
+    stability_gain: float = 0.025
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InvalidInput(f"kind is {self.kind!r}; expected one of {', '.join(KINDS)}")
+        check_numbers(
+            self,
+            positive=("duration", "friction", "hold_force", "stability_gain"),
+            not_negative=("swing", "pause"),
+        )
+        if np.shape(self.axis) != (3,) or not np.isfinite(self.axis).all() or not any(self.axis):
+            raise InvalidInput(f"axis is {self.axis}; expected three finite numbers, not all zero")
+
+
+class ContactSwitch(Controller):
+    """Lets one random finger go of the object and touch it again elsewhere, over and over.
+
+    The other fingers get no motion, so it holds the object only as well as their set-points do.
+
+    Args:
+        hand: the hand.
+        config: the settings; keyword arguments change single ones.
+        control_period: [s].
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        config: ContactSwitchConfig | None = None,
+        *,
+        control_period: float = 0.05,
+        **changes: Any,
+    ) -> None:
+        super().__init__(hand, control_period=control_period)
+        self.config = config = replace(config or ContactSwitchConfig(), **changes)
+        axis = np.array(config.axis, float)
+        axis /= np.linalg.norm(axis)
+        self._part: _Profile | _Guarded
+        if config.kind == "profile":
+            self._part = _Profile(hand, config, axis, control_period)
+        else:
+            self._part = _Guarded(hand, config, axis, control_period)
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        self._part.reset(seed, mask)
+
+    def act(self, state: GraspState) -> Floats:
+        check_state(self.hand, state)
+        action, self._diagnostics = self._part.act(state)
+        return check_action(action)
+
+
+class _Profile:
+    def __init__(
+        self, hand: HandModel, config: ContactSwitchConfig, axis: Floats, control_period: float
+    ) -> None:
+        self._profile = SwitchProfile(
+            hand,
+            duration=config.duration,
+            speed=config.speed,
+            axis=axis,
+            control_period=control_period,
+        )
+        self.reset = self._profile.reset
+
+    def act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
+        self._profile.begin(state)
+        finger = self._profile.finger
+        return self._profile.act(state), {"finger": finger}
+
+
+class _Guarded:
+    def __init__(
+        self, hand: HandModel, config: ContactSwitchConfig, axis: Floats, control_period: float
+    ) -> None:
+        self._hand = hand
+        self._config = config
+        self._axis = axis
+        self._dt = control_period
+        self._switch = GuardedSwitch(hand, axis, config.switch, control_period)
+        self._seed: ArrayLike = 0
+        self._streams: Streams | None = None
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        if mask is None or self._streams is None:
+            self._seed = self._seed if seed is None else seed
+            if seed is not None or self._streams is None:
+                self._streams = None
+            self._wait = np.zeros(0)
+            self._switch.start(0)
+            return
+        chosen = np.asarray(mask, bool)
+        self._switch.clear(chosen)
+        self._wait[chosen] = 0.0
+        if seed is not None:
+            self._streams.reseed(seed, chosen)
+
+    def act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
+        if state.batch_shape:
+            return self._act(state)
+        action, diagnostics = self._act(state[None])
+        return action[0], {name: value[0] for name, value in diagnostics.items()}
+
+    def _act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
+        count = len(state.q)
+        if self._streams is None or len(self._switch.phase) != count:
+            if self._switch.phase.any():
+                raise InvalidInput(
+                    f"{len(self._switch.phase)} hands are switching and the state has {count}; "
+                    "call reset() before the batch shape changes"
+                )
+            if self._streams is None or self._streams.batch_shape != (count,):
+                self._streams = Streams(self._seed, (count,))
+            self._switch.start(count)
+            self._wait = np.zeros(count)
+        now = self._hand.configuration(state.q)
+        tip = now.fingertip_position
+        origin = state.object_position
+        if origin is None:
+            weight = state.in_contact[..., None].astype(float)
+            contact = np.where(state.in_contact[..., None], state.contact_position, 0.0)
+            origin = contact.sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0)
+        self._begin(state, tip, origin)
+
+        def may_lift(rows: Indices, finger: Indices) -> Bools:
+            return self._holds_without(state, rows, finger, tip, origin)
+
+        action = self._switch.command(state, now, origin, may_lift)
+        action += self._force_control(state, now)
+        return action, {
+            "finger": self._switch.finger.copy(),
+            "phase": self._switch.phase.copy(),
+        }
+
+    def _begin(self, state: GraspState, tip: Floats, origin: Floats) -> None:
+        assert self._streams is not None
+        busy = self._switch.phase != Phase.IDLE
+        self._wait = np.where(busy, self._config.pause, self._wait - self._dt)
+        ready = ~busy & (self._wait <= 0.5 * self._dt) & (state.in_contact.sum(axis=1) >= 4)
+        draw = self._streams.uniform((), ready)
+        if not ready.any():
+            return
+        finger = np.where(ready, random_contact(state.in_contact, draw), 0)
+        rows = np.flatnonzero(ready)
+        ready[rows] = self._holds_without(state, rows, finger[rows], tip, origin)
+        lever = tip[np.arange(len(finger)), finger] - origin
+        direction = turned(unit_across(lever, self._axis), -self._config.swing, self._axis)
+        flat = split(lever, self._axis)[1]
+        landing = landing_at(origin, direction, np.sqrt((flat * flat).sum(axis=-1)))
+        self._switch.begin(ready, finger, origin, landing)
+
+    def _holds_without(
+        self, state: GraspState, rows: Indices, finger: Indices, tip: Floats, origin: Floats
+    ) -> Bools:
+        others = state.in_contact[rows].copy()
+        others[np.arange(len(rows)), finger] = False
+        point = np.where(others[..., None], state.contact_position[rows], tip[rows])
+        return is_force_closure(
+            point, state.contact_normal[rows], others, origin[rows], self._config.friction
+        )
+
+    def _force_control(self, state: GraspState, now: Any) -> Floats:
+        """What a superposed in-grasp controller would do with the finger: unload it, load it."""
+        change = np.zeros_like(state.q)
+        switch, config = self._switch, self._config
+        lead = state.q_target - state.q
+        rows = np.flatnonzero(switch.phase == Phase.UNLOAD)
+        own = self._hand.moves[switch.finger[rows]]
+        change[rows] = np.where(own, np.expm1(-config.switch.yield_rate * self._dt) * lead[rows], 0)
+        rows = np.flatnonzero(switch.phase == Phase.LOAD)
+        if len(rows):
+            finger = switch.finger[rows]
+            error = config.hold_force * switch.max_force[rows, finger]
+            error -= state.contact_force[rows, finger]
+            normal = state.contact_normal[rows, finger]
+            step = config.stability_gain * self._dt * np.maximum(error, 0.0)[:, None] * normal
+            change[rows] = switch.tip_motion(rows, now, step)
+        return change

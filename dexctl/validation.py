@@ -1,0 +1,39 @@
+"""Checks of configuration values, with messages that name the field."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dexctl.exceptions import InvalidInput
+
+
+def check_numbers(
+    config: object,
+    *,
+    positive: tuple[str, ...] = (),
+    not_negative: tuple[str, ...] = (),
+    fractions: tuple[str, ...] = (),
+) -> None:
+    """Raise InvalidInput where a field of ``config`` is not such a number."""
+    for names, low, high, wanted in (
+        (positive, np.nextafter(0.0, 1.0), np.inf, "a finite number above 0"),
+        (not_negative, 0.0, np.inf, "a finite number, 0 or more"),
+        (fractions, 0.0, 1.0, "a number from 0 to 1"),
+    ):
+        for name in names:
+            value = getattr(config, name)
+            number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            if not (number and np.isfinite(value) and low <= value <= high):
+                raise InvalidInput(f"{name} is {value!r}; expected {wanted}")
+
+
+def check_twist(twist: object) -> None:
+    """Raise InvalidInput where ``twist`` is not six finite numbers."""
+    try:
+        array = np.asarray(twist, float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (6,) or not np.isfinite(array).all():
+        raise InvalidInput(
+            f"twist is {twist!r}; expected six finite numbers: (linear [m/s], angular [rad/s])"
+        )
