@@ -1,0 +1,73 @@
+"""In-grasp manipulation on the simulated hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dexctl import InGraspManipulation
+from dexctl.igm import InGraspManipulationConfig
+from dexctl.sim import BatchSimulator, Scene
+from dexctl.sim.trial import Trace, run
+
+TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
+
+
+@pytest.fixture(scope="module")
+def cylinder() -> Scene:
+    return Scene.build("dex5", "cylinder", "down")
+
+
+def trace(scene: Scene, seconds: float, rate: float = 20.0, **changes) -> Trace:
+    sim = BatchSimulator(scene, 4, control_period=1 / rate, substeps=round(200 / rate))
+    controller = InGraspManipulation(scene.hand, control_period=1 / rate, **changes)
+    return run(controller, sim, seconds)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_turns_the_object_the_way_it_is_asked_to(cylinder, direction):
+    found = trace(cylinder, 2.0, twist=tuple(direction * np.array(TURN)))
+    assert not found.dropped.any()
+    assert (direction * found.final_rotation > 0.35).all()
+
+
+def test_a_change_of_control_rate_does_not_change_the_motion(cylinder):
+    slow, fast = (trace(cylinder, 3.0, rate, twist=TURN) for rate in (20.0, 40.0))
+    assert slow.held.all() and fast.held.all()
+    np.testing.assert_allclose(fast.final_rotation, slow.final_rotation, rtol=0.04)
+    half = slow.rotation[30], fast.rotation[60]
+    np.testing.assert_allclose(half[1], half[0], rtol=0.06)
+
+
+def test_presses_with_the_wanted_force(cylinder):
+    """Standing still, the strongest finger settles at the grip force."""
+    found = trace(cylinder, 4.0, twist=(0.0,) * 6, grip_force=2.5)
+    strongest = found.contact_force[-20:].max(axis=-1).mean(axis=0)
+    np.testing.assert_allclose(strongest, 2.5, rtol=0.1)
+    assert (found.contact_force[-20:].min(axis=-1) > 0.15 * 2.5 * 0.5).all()
+
+
+def test_regulation_brings_a_lifted_object_back(cylinder):
+    """The reference is the first state; from then on something else moved the object up."""
+    hand = cylinder.hand
+    heights = []
+    for gain in (1.0, 0.0):
+        sim = BatchSimulator(cylinder, 4)
+        sim.reset(0)
+        back = {"height_gain": gain, "centring_gain": gain, "tilt_gain": gain}
+        controller = InGraspManipulation(hand, twist=(0.0,) * 6, **back)
+        controller.act(sim.read())
+        up = InGraspManipulation(hand, twist=(0.0, 0.0, 0.02, 0.0, 0.0, 0.0))
+        run(up, sim, 0.5)
+        raised = sim.read().object_position[:, 2]
+        run(controller, sim, 3.0)
+        height = sim.read().object_position[:, 2]
+        assert (raised - sim.start_position[:, 2] > 0.003).all()
+        heights.append(np.abs(height - sim.start_position[:, 2]))
+    assert (heights[0] < 0.5 * heights[1]).all()
+
+
+def test_the_thesis_controller_turns_the_object_too(cylinder):
+    sim = BatchSimulator(cylinder, 4)
+    found = run(InGraspManipulationConfig.thesis().build(cylinder.hand), sim, 2.0)
+    assert (found.rotation[-1] > 0.2).all()
