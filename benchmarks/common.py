@@ -1,68 +1,250 @@
-"""What every benchmark shares: timing, the machine's description, and JSON written whole."""
+"""What every benchmark shares: settings, timing, trials, statistics, and JSON written whole.
+
+A result holds `figures`, each a line of README's table with its goal beside it, and the numbers
+they were made from.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-import platform
+import sys
 import time
-from collections.abc import Callable
-from importlib.metadata import version
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+import tyro
+from scipy.stats import binomtest, bootstrap
 
-RESULTS = Path(__file__).parent / "results"
-_PACKAGES = ("dexctl", "numpy", "scipy", "pin", "proxsuite", "casadi", "mujoco", "mink")
+from dexctl.controller import Controller
+from dexctl.report.machine import machine
+from dexctl.sim import BatchSimulator, Scene, Tactile, Trace, run
+
+RESULTS = Path(__file__).resolve().parent / "results"
+FULL_TURN = 2 * np.pi
+PALMS = ("up", "down")
+THREADS = 2  # of the physics in the timing benchmarks
 
 
-def machine() -> dict[str, Any]:
-    """What a figure depends on beside the code."""
-    model = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
-        model = names[0].split(":", 1)[1].strip() if names else model
-    return {
-        "processor": model,
-        "cores": os.cpu_count(),
-        "load": os.getloadavg()[0],
-        "python": platform.python_version(),
-        "versions": {name: version(name) for name in _PACKAGES},
-    }
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a script takes from the command line; the defaults are the full measurement."""
+
+    seed: int = 0
+    """First seed; trial i has the seed seed + i."""
+    out: Path = RESULTS
+    """Folder for the result."""
+
+
+S = TypeVar("S", bound=Settings)
+
+
+def settings(kind: type[S], description: str | None) -> S:
+    """The command line's settings."""
+    return tyro.cli(kind, description=description)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured figure.
+
+    Attributes:
+        what: what was measured.
+        measured: the number, with unit, for people.
+        goal: what was asked for; empty where nothing was.
+        met: whether the goal is reached; None where there is none.
+    """
+
+    what: str
+    measured: str
+    goal: str = ""
+    met: bool | None = None
+
+
+# -- timing ---------------------------------------------------------------------------------
+
+
+def timed(call: Callable[[], Any]) -> float:
+    """Seconds that a call took."""
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
 
 
 def timings(call: Callable[[int], Any], count: int, warm_up: int = 50) -> np.ndarray:
-    """Seconds that each of ``count`` calls took; ``call`` gets its index."""
-    for i in range(warm_up):
+    """Seconds that each of ``count`` calls took, ``(count,)``; ``call`` gets its index."""
+    for i in range(min(warm_up, count)):
         call(i)
-    out = np.empty(count)
-    for i in range(count):
-        start = time.perf_counter()
-        call(i)
-        out[i] = time.perf_counter() - start
-    return out
+    return np.array([timed(lambda i=i: call(i)) for i in range(count)])
+
+
+def in_turns(
+    calls: dict[str, Callable[[int], Any]], count: int, rounds: int
+) -> dict[str, np.ndarray]:
+    """Timings ``(rounds, count)`` of each call, taken in turns so that all meet the same load."""
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in calls}
+    for i in range(rounds):
+        order = list(calls) if i % 2 == 0 else list(calls)[::-1]
+        for name in order:
+            rows[name].append(timings(calls[name], count))
+    return {name: np.array(row) for name, row in rows.items()}
 
 
 def spread(seconds: np.ndarray) -> dict[str, float]:
     """Median, p99 and count of timings, in microseconds."""
     return {
-        "median_us": float(np.median(seconds) * 1e6),
-        "p99_us": float(np.percentile(seconds, 99) * 1e6),
-        "count": len(seconds),
+        "median_us": round(float(np.median(seconds) * 1e6), 2),
+        "p99_us": round(float(np.percentile(seconds, 99) * 1e6), 2),
+        "count": int(np.size(seconds)),
     }
 
 
-def write(name: str, result: dict[str, Any]) -> Path:
-    """Write ``results/name.json`` with the machine's description, aside first and then renamed."""
-    RESULTS.mkdir(exist_ok=True)
-    path = RESULTS / f"{name}.json"
+def ratio(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
+    """Median over the rounds ``(rounds, ...)`` of the ratio of medians, with its extremes."""
+    each = np.median(ours.reshape(len(ours), -1), 1) / np.median(theirs.reshape(len(theirs), -1), 1)
+    return {
+        "median": round(float(np.median(each)), 4),
+        "least": round(float(each.min()), 4),
+        "most": round(float(each.max()), 4),
+        "rounds": len(each),
+    }
+
+
+# -- trials ---------------------------------------------------------------------------------
+
+
+def trials(
+    controller: Controller,
+    scene: Scene,
+    seconds: float,
+    count: int,
+    *,
+    seed: int = 0,
+    tactile: Tactile | None = None,
+    parameters: dict[str, float] | None = None,
+) -> Trace:
+    """``count`` trials by the protocol of every measurement (see `dexctl.sim.run`)."""
+    with BatchSimulator(scene, count, tactile=tactile) as sim:
+        if parameters:
+            sim.set_parameters(**parameters)
+        sim.reset(seed)
+        controller.reset(seed)
+        return run(controller, sim, seconds)
+
+
+def share(hits: np.ndarray) -> dict[str, Any]:
+    """How many of the trials ``(N,)``, with the 95 % Wilson interval of their share."""
+    k, n = int(hits.sum()), len(hits)
+    low, high = binomtest(k, n).proportion_ci(method="wilson")
+    return {"count": k, "of": n, "share": round(k / n, 4), "wilson95": [_r(low), _r(high)]}
+
+
+def over_seeds(values: np.ndarray) -> dict[str, Any]:
+    """Median over trials ``(N,)`` with its 95 % bootstrap interval, 10th and 90th percentile."""
+    low = high = float(np.median(values))
+    if len(values) > 1 and np.ptp(values) > 0:
+        found = bootstrap(
+            (values,), np.median, n_resamples=2000, method="percentile", rng=0, vectorized=True
+        ).confidence_interval
+        low, high = float(found.low), float(found.high)
+    p10, p90 = np.percentile(values, [10, 90])
+    return {
+        "median": _r(np.median(values)),
+        "bootstrap95": [_r(low), _r(high)],
+        "p10": _r(p10),
+        "p90": _r(p90),
+    }
+
+
+def outcome(trace: Trace, target: float = FULL_TURN) -> dict[str, Any]:
+    """What trials came to: rotation up to the drop, time held, and what stopped them.
+
+    ``reached`` counts trials that turned the object by ``target`` [rad] before any drop;
+    ``stalled`` those that still hold it and turned it by less than 0.1 rad in the last quarter.
+    """
+    rotation, held = trace.rotation, trace.held
+    quarter = len(rotation) - max(len(rotation) // 4, 1)
+    last = rotation[-1] - rotation[quarter - 1]
+    other = (trace.other_contact > 0) & held
+    return {
+        "rotation_rad": over_seeds(rotation[-1]),
+        "time_held_s": over_seeds(trace.time_held),
+        "holding": share(held[-1]),
+        "target_rad": _r(target),
+        "reached": share(rotation.max(axis=0) >= target),
+        "stalled": share(held[-1] & (np.abs(last) < 0.1)),
+        "diverged": int(trace.diverged[-1].sum()),
+        "mean_contacts": _r((trace.in_contact.sum(axis=-1) * held).sum() / held.sum()),
+        "touched_by_more_than_fingertips": _r(other.sum() / held.sum()),
+    }
+
+
+def percent(part: dict[str, Any]) -> str:
+    """A share for people: 61 of 64 (95 %)."""
+    return f"{part['count']} of {part['of']} ({100 * part['share']:.0f} %)"
+
+
+def percent_interval(part: dict[str, Any]) -> str:
+    """A share for people with its interval: 95 % (87-98)."""
+    low, high = part["wilson95"]
+    return f"{100 * part['share']:.0f} % ({100 * low:.0f}-{100 * high:.0f})"
+
+
+def _r(value: Any) -> float:
+    return round(float(value), 4)
+
+
+def progress(text: str) -> None:
+    """A line for whoever waits."""
+    print(text, file=sys.stderr, flush=True)
+
+
+# -- results --------------------------------------------------------------------------------
+
+
+def write(
+    name: str,
+    given: Settings,
+    figures: Sequence[Figure],
+    tables: Sequence[dict[str, Any]] = (),
+    *,
+    say: bool = True,
+    **numbers: Any,
+) -> Path:
+    """Write ``name.json`` with settings and machine, aside first and then renamed.
+
+    Args:
+        name: of the script.
+        given: its settings.
+        figures: lines of README's table.
+        tables: further tables for README, each with title, header and rows.
+        say: whether to print what is written.
+        **numbers: what the figures were made from.
+    """
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / f"{name}.json"
     aside = path.with_suffix(".part")
-    aside.write_text(
-        json.dumps({"benchmark": name, **result, "machine": machine()}, indent=2) + "\n"
-    )
+    chosen = {key: value for key, value in asdict(given).items() if key != "out"}
+    result = {
+        "benchmark": name,
+        "figures": [asdict(figure) for figure in figures],
+        "tables": list(tables),
+        **numbers,
+        "settings": chosen,
+        "machine": {**machine(), "load": round(os.getloadavg()[0], 2)},
+    }
+    aside.write_text(json.dumps(result, indent=1, default=str) + "\n")
     aside.replace(path)
-    print(json.dumps(result, indent=2))
+    if not say:
+        return path
+    for figure in figures:
+        mark = {True: "reached", False: "NOT reached", None: ""}[figure.met]
+        goal = f"  (goal: {figure.goal}) {mark}" if figure.goal else ""
+        print(f"{figure.what}: {figure.measured}{goal}")
+    for table in tables:
+        print(table["title"], *(" | ".join(row) for row in table["rows"]), sep="\n")
     print(f"written: {path}")
     return path

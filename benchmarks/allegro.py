@@ -1,0 +1,124 @@
+"""A hand that nothing here was made for: the Allegro holds and turns a sphere and a cube.
+
+The same controllers with no code of their own. Needs the hand's files: a folder that holds
+`wonik_allegro/` in DEXCTL_MENAGERIE, or the `mujoco-menagerie` package; does nothing without.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from common import (
+    PALMS,
+    Figure,
+    Settings,
+    outcome,
+    percent,
+    percent_interval,
+    progress,
+    settings,
+    trials,
+    write,
+)
+
+from dexctl import controllers, hands
+from dexctl.exceptions import DexctlError, HandModelError
+from dexctl.sim import Scene
+
+OBJECTS: dict[str, dict[str, Any]] = {
+    "sphere": {"object_size": 0.07},
+    "cube": {"object_size": 0.06},
+}
+# what differs from the controllers' defaults
+CONTROLLERS: dict[str, dict[str, Any]] = {"igm": {}, "coordinated": {}}
+TARGET = 0.5  # rotation that is counted [rad]
+MASS = 0.1  # [kg]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    trials: int = 16
+    """Per object, palm direction and controller."""
+    seconds: float = 20.0
+    """Simulated, each trial."""
+    folder: Path | None = None
+    """Folder that holds `wonik_allegro/`."""
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    beside = Path(__file__).resolve().parents[2] / "shared" / "hands"
+    folder = given.folder
+    if folder is None and not os.environ.get("DEXCTL_MENAGERIE") and beside.is_dir():
+        folder = beside
+    try:
+        hand = hands.load("wonik_allegro", folder=folder)
+    except HandModelError as error:
+        print(f"skipped: {error}")
+        return
+    rows, figures, lines = [], [], []
+    for name, options in OBJECTS.items():
+        for palm in PALMS:
+            try:
+                scene = Scene.build(hand, name, palm, object_mass=MASS, **options)
+                scene.settled  # noqa: B018 (the grasp is found here)
+            except DexctlError as error:
+                progress(f"{name}, palm {palm}: {error}")
+                rows.append({"object": name, "palm": palm, "error": str(error)})
+                continue
+            for controller_name, changes in CONTROLLERS.items():
+                controller = controllers.make(controller_name, hand, **changes)
+                trace = trials(controller, scene, given.seconds, given.trials, seed=given.seed)
+                row = {
+                    "object": name,
+                    "width_m": scene.object_width,
+                    "palm": palm,
+                    "controller": controller_name,
+                    **outcome(trace, TARGET),
+                }
+                rows.append(row)
+                title = controllers.entry(controller_name).title
+                rotation = row["rotation_rad"]
+                lines.append(
+                    [
+                        name,
+                        palm,
+                        title,
+                        f"{rotation['median']:.2f} ({rotation['p10']:.2f}-{rotation['p90']:.2f})",
+                        f"{row['time_held_s']['median']:.0f}",
+                        percent_interval(row["holding"]),
+                    ]
+                )
+                progress(" | ".join(lines[-1]))
+                figures.append(
+                    Figure(
+                        f"Allegro turns a {name} of {1000 * scene.object_width:.0f} mm, {title}, "
+                        f"palm {palm}, {given.seconds:g} s",
+                        f"median {rotation['median']:.2f} rad, "
+                        f"{percent(row['holding'])} still holding",
+                        "holds and turns",
+                        row["holding"]["share"] >= 0.5 and rotation["median"] > 0.1,
+                    )
+                )
+    table = {
+        "title": f"Allegro hand, {given.seconds:g} s, {given.trials} trials each",
+        "header": [
+            "Object",
+            "Palm",
+            "Controller",
+            "Rotation: median (10-90 %) [rad]",
+            "Time held: median [s]",
+            "Holding at the end (95 % interval)",
+        ],
+        "rows": lines,
+    }
+    write("allegro", given, figures, [table], trials=rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""The coordinated gait where sensing and physics are not what they were tuned with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from common import (
+    Settings,
+    outcome,
+    percent_interval,
+    progress,
+    settings,
+    trials,
+    write,
+)
+from numpy.typing import ArrayLike
+
+import dexctl
+from dexctl.controller import Controller
+from dexctl.gait import CoordinatedGait
+from dexctl.sim import Scene, Tactile
+from dexctl.state import Floats, GraspState
+
+
+class Untracked(Controller):
+    """A controller that is not told where the object is."""
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__(controller.hand, control_period=controller.control_period)
+        self.controller = controller
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        self.controller.reset(seed, mask)
+
+    def act(self, state: GraspState) -> Floats:
+        return self.controller.act(replace(state, object_position=None, object_quaternion=None))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How a trial differs from the standard ones.
+
+    Attributes:
+        text: for people.
+        tactile: what the fingertips feel.
+        parameters: of the physics, by name.
+        tracked: whether the controller knows the object's pose.
+    """
+
+    text: str
+    tactile: Tactile = field(default_factory=Tactile)
+    parameters: dict[str, float] = field(default_factory=dict)
+    tracked: bool = True
+
+
+CONDITIONS: dict[str, Condition] = {
+    "standard": Condition("standard (friction 1.0, 0.1 kg, exact touch)"),
+    "position_1mm": Condition("contact position +-1 mm", Tactile(position_noise=0.001)),
+    "position_2mm": Condition("contact position +-2 mm", Tactile(position_noise=0.002)),
+    "position_3mm": Condition("contact position +-3 mm", Tactile(position_noise=0.003)),
+    "normal": Condition("contact normal +-0.1 rad", Tactile(normal_noise=0.1)),
+    "force": Condition("force +-0.5 N (20 % of the grip)", Tactile(force_noise=0.5)),
+    "all_noise": Condition(
+        "all three: 2 mm, 0.1 rad, 0.5 N",
+        Tactile(position_noise=0.002, normal_noise=0.1, force_noise=0.5),
+    ),
+    "latency": Condition("touch 0.05 s late", Tactile(latency=0.05)),
+    "friction_0.6": Condition("friction 0.6", parameters={"friction": 0.6}),
+    "friction_0.8": Condition("friction 0.8", parameters={"friction": 0.8}),
+    "friction_1.2": Condition("friction 1.2", parameters={"friction": 1.2}),
+    "mass_0.05": Condition("object of 0.05 kg", parameters={"object_mass": 0.05}),
+    "mass_0.2": Condition("object of 0.2 kg", parameters={"object_mass": 0.2}),
+    "untracked": Condition("object not tracked", tracked=False),
+    "untracked_noise": Condition(
+        "object not tracked, all three noises, 0.05 s late",
+        Tactile(position_noise=0.002, normal_noise=0.1, force_noise=0.5, latency=0.05),
+        tracked=False,
+    ),
+}
+# heavy objects palm up, light grips palm down: each the harder way for some of the conditions
+SCENES = (("cylinder", "up"), ("cylinder", "down"), ("cube", "up"), ("cube", "down"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    trials: int = 32
+    """Per condition, object and palm direction."""
+    seconds: float = 60.0
+    """Simulated, each trial."""
+    conditions: tuple[str, ...] = tuple(CONDITIONS)
+    """Which."""
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    hand = dexctl.hands.load("dex5")
+    scenes = [Scene.build(hand, name, palm) for name, palm in SCENES]
+    rows, lines = [], []
+    for chosen in given.conditions:
+        condition = CONDITIONS[chosen]
+        cells = [condition.text]
+        for (name, palm), scene in zip(SCENES, scenes, strict=True):
+            gait = CoordinatedGait(hand)
+            controller = gait if condition.tracked else Untracked(gait)
+            trace = trials(
+                controller,
+                scene,
+                given.seconds,
+                given.trials,
+                seed=given.seed,
+                tactile=condition.tactile,
+                parameters=condition.parameters,
+            )
+            row = {"condition": chosen, "object": name, "palm": palm, **outcome(trace)}
+            rows.append(row)
+            cells.append(
+                f"{row['rotation_rad']['median']:.1f} rad, {percent_interval(row['holding'])}"
+            )
+        progress(f"{chosen}: " + " | ".join(cells[1:]))
+        lines.append(cells)
+    table = {
+        "title": f"Coordinated gait under other conditions: median rotation in {given.seconds:g} s,"
+        f" share still holding (95 % interval), {given.trials} trials each",
+        "header": ["Condition", *(f"{name}, palm {palm}" for name, palm in SCENES)],
+        "rows": lines,
+    }
+    write("robustness", given, [], [table], trials=rows)
+
+
+if __name__ == "__main__":
+    main()
