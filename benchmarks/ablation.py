@@ -4,24 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
 
-from common import (
-    PALMS,
-    Figure,
-    Settings,
-    outcome,
-    percent_interval,
-    progress,
-    settings,
-    trials,
-    write,
-)
+from common import PALMS, Settings, earlier, grid, outcome, progress, settings, trials, write
 
 import dexctl
 from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
 from dexctl.sim import Scene
 
-OBJECTS = ("cube", "dodecahedron")
+SCENES = tuple(product(("cube", "dodecahedron"), PALMS))
 Change = Callable[[CoordinatedGaitConfig], CoordinatedGaitConfig]
 
 
@@ -77,32 +69,37 @@ class Options(Settings):
     """Which."""
 
 
-def main() -> None:
-    given = settings(Options, __doc__)
-    hand = dexctl.hands.load("dex5")
-    scenes = [(name, palm, Scene.build(hand, name, palm)) for name in OBJECTS for palm in PALMS]
-    rows, lines = [], []
-    for variant in given.variants:
-        text, change = VARIANTS[variant]
-        cells = [text]
-        for name, palm, scene in scenes:
-            controller = CoordinatedGait(hand, change(CoordinatedGaitConfig()))
-            trace = trials(controller, scene, given.seconds, given.trials, seed=given.seed)
-            row = {"variant": variant, "object": name, "palm": palm, **outcome(trace)}
-            rows.append(row)
-            cells.append(
-                f"{row['rotation_rad']['median']:.1f} rad, {percent_interval(row['holding'])}"
-            )
-        progress(f"{variant}: " + " | ".join(cells[1:]))
-        lines.append(cells)
-    figures: list[Figure] = []
+def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> list[list[str]]:
+    """Write the result with the rows so far; the lines of its table."""
+    texts = {name: text for name, (text, _) in VARIANTS.items()}
+    header, lines = grid(rows, "variant", texts, SCENES)
     table = {
         "title": f"Coordinated gait with one ingredient taken away: median rotation in "
         f"{given.seconds:g} s, share still holding (95 % interval), {given.trials} trials each",
-        "header": ["", *(f"{name}, palm {palm}" for name, palm, _ in scenes)],
+        "header": header,
         "rows": lines,
     }
-    write("ablation", given, figures, [table], trials=rows)
+    write("ablation", given, [], [table], trials=rows, say=say)
+    return lines
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    hand = dexctl.hands.load("dex5")
+    scenes = {key: Scene.build(hand, *key) for key in SCENES}
+    rows = earlier("ablation", given)
+    done = {(row["variant"], row["object"], row["palm"]) for row in rows}
+    for variant, key in product(given.variants, SCENES):
+        if (variant, *key) in done:
+            continue
+        change = VARIANTS[variant][1]
+        controller = CoordinatedGait(hand, change(CoordinatedGaitConfig()))
+        trace = trials(controller, scenes[key], given.seconds, given.trials, seed=given.seed)
+        row = {"variant": variant, "object": key[0], "palm": key[1], **outcome(trace)}
+        rows.append(row)
+        lines = save(rows, given, say=False)
+        progress(f"{variant}, {key[0]}, palm {key[1]}: {lines[-1][1 + SCENES.index(key)]}")
+    save(rows, given, say=True)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,34 @@ class Options(Settings):
     """Folder that holds `wonik_allegro/`."""
 
 
+def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
+    """One line for each object and controller, over both palm directions."""
+    out = []
+    for name, controller in product(OBJECTS, CONTROLLERS):
+        mine = [
+            row for row in rows if row["object"] == name and row.get("controller") == controller
+        ]
+        if not mine:
+            continue
+        parts = [
+            f"palm {row['palm']} {row['rotation_rad']['median']:.1f} rad, "
+            f"{percent(row['reached_and_holding'])}"
+            for row in mine
+        ]
+        title = controllers.entry(controller).title
+        out.append(
+            Figure(
+                f"Allegro, {title}, {name} of {1000 * mine[0]['width_m']:.0f} mm, {seconds:g} s: "
+                f"median rotation, trials that turn it by {TARGET} rad and still hold it",
+                "; ".join(parts),
+                "holds and turns in most trials",
+                len(mine) == len(PALMS)
+                and all(row["reached_and_holding"]["share"] > 0.5 for row in mine),
+            )
+        )
+    return out
+
+
 def main() -> None:
     given = settings(Options, __doc__)
     beside = Path(__file__).resolve().parents[2] / "shared" / "hands"
@@ -61,7 +90,7 @@ def main() -> None:
     except HandModelError as error:
         print(f"skipped: {error}")
         return
-    rows, figures, lines = [], [], []
+    rows, lines = [], []
     for name, options in OBJECTS.items():
         for palm in PALMS:
             try:
@@ -95,16 +124,6 @@ def main() -> None:
                     ]
                 )
                 progress(" | ".join(lines[-1]))
-                figures.append(
-                    Figure(
-                        f"Allegro turns a {name} of {1000 * scene.object_width:.0f} mm, {title}, "
-                        f"palm {palm}, {given.seconds:g} s",
-                        f"median {rotation['median']:.2f} rad, "
-                        f"{percent(row['holding'])} still holding",
-                        "holds and turns",
-                        row["holding"]["share"] >= 0.5 and rotation["median"] > 0.1,
-                    )
-                )
     table = {
         "title": f"Allegro hand, {given.seconds:g} s, {given.trials} trials each",
         "header": [
@@ -117,7 +136,7 @@ def main() -> None:
         ],
         "rows": lines,
     }
-    write("allegro", given, figures, [table], trials=rows)
+    write("allegro", given, figures_of(rows, given.seconds), [table], trials=rows)
 
 
 if __name__ == "__main__":

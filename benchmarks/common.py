@@ -21,6 +21,7 @@ from scipy.stats import binomtest, bootstrap
 
 from dexctl.controller import Controller
 from dexctl.report.machine import machine
+from dexctl.rotations import inverse, multiply
 from dexctl.sim import BatchSimulator, Scene, Tactile, Trace, run
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -37,6 +38,8 @@ class Settings:
     """First seed; trial i has the seed seed + i."""
     out: Path = RESULTS
     """Folder for the result."""
+    resume: bool = False
+    """Keep the rows of an interrupted run with the same settings, where a script has rows."""
 
 
 S = TypeVar("S", bound=Settings)
@@ -135,6 +138,37 @@ def trials(
         return run(controller, sim, seconds)
 
 
+def earlier(name: str, given: Settings) -> list[dict[str, Any]]:
+    """Rows that an interrupted run of the same settings has left."""
+    path = given.out / f"{name}.json"
+    if not (given.resume and path.is_file()):
+        return []
+    found = json.loads(path.read_text())
+    fixed = ("seed", "trials", "seconds")
+    same = all(found["settings"][key] == getattr(given, key) for key in fixed)
+    return found["trials"] if same else []
+
+
+def grid(
+    rows: Sequence[dict[str, Any]], key: str, texts: dict[str, str], scenes: Sequence[Any]
+) -> tuple[list[str], list[list[str]]]:
+    """Header and lines of a table: one line for each ``row[key]``, one column for each scene.
+
+    Cells have the median rotation and the share still holding with its Wilson interval.
+    """
+    cells = {
+        (row[key], row["object"], row["palm"]): f"{row['rotation_rad']['median']:.1f} rad, "
+        + percent_interval(row["holding"])
+        for row in rows
+    }
+    lines = [
+        [text, *(cells.get((name, *scene), "") for scene in scenes)]
+        for name, text in texts.items()
+        if any(row[key] == name for row in rows)
+    ]
+    return ["", *(f"{name}, palm {palm}" for name, palm in scenes)], lines
+
+
 def share(hits: np.ndarray) -> dict[str, Any]:
     """How many of the trials ``(N,)``, with the 95 % Wilson interval of their share."""
     k, n = int(hits.sum()), len(hits)
@@ -168,17 +202,39 @@ def outcome(trace: Trace, target: float = FULL_TURN) -> dict[str, Any]:
     rotation, held = trace.rotation, trace.held
     quarter = len(rotation) - max(len(rotation) // 4, 1)
     last = rotation[-1] - rotation[quarter - 1]
+    reached = rotation.max(axis=0) >= target
     other = (trace.other_contact > 0) & held
     return {
         "rotation_rad": over_seeds(rotation[-1]),
         "time_held_s": over_seeds(trace.time_held),
         "holding": share(held[-1]),
         "target_rad": _r(target),
-        "reached": share(rotation.max(axis=0) >= target),
+        "reached": share(reached),
+        "reached_and_holding": share(reached & held[-1]),
         "stalled": share(held[-1] & (np.abs(last) < 0.1)),
+        "second_before_drop": _before_drop(trace),
         "diverged": int(trace.diverged[-1].sum()),
         "mean_contacts": _r((trace.in_contact.sum(axis=-1) * held).sum() / held.sum()),
         "touched_by_more_than_fingertips": _r(other.sum() / held.sum()),
+    }
+
+
+def _before_drop(trace: Trace) -> dict[str, float] | None:
+    """How trials stood a second before they dropped the object, medians; None if none did."""
+    dropped = np.flatnonzero(trace.dropped)
+    if not len(dropped):
+        return None
+    period = float(trace.time[1] - trace.time[0])
+    row = np.maximum(trace.held.sum(axis=0) - 1 - round(1.0 / period), 0)[dropped]
+    pose = trace.object_quaternion[:, dropped]
+    turned = multiply(pose[row, np.arange(len(row))], inverse(pose[0]))
+    tilt = np.arccos(np.clip(1 - 2 * (turned[:, 1] ** 2 + turned[:, 2] ** 2), -1, 1))
+    away = trace.object_position[row, dropped] - trace.object_position[0, dropped]
+    return {
+        "fingers_touching": _r(np.median(trace.in_contact[row, dropped].sum(axis=-1))),
+        "tilt_rad": _r(np.median(tilt)),
+        "height_m": _r(np.median(away[:, 2])),
+        "sideways_m": _r(np.median(np.linalg.norm(away[:, :2], axis=-1))),
     }
 
 
@@ -227,7 +283,7 @@ def write(
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / f"{name}.json"
     aside = path.with_suffix(".part")
-    chosen = {key: value for key, value in asdict(given).items() if key != "out"}
+    chosen = {key: value for key, value in asdict(given).items() if key not in ("out", "resume")}
     result = {
         "benchmark": name,
         "figures": [asdict(figure) for figure in figures],

@@ -1,4 +1,4 @@
-"""The gait of the thesis and the coordinated gait side by side: 60 s, easy objects and harder ones.
+"""The gait of the thesis and the coordinated gait side by side: 60 s, easy and harder objects.
 
 The file is written after every row, so that an interrupted run leaves what it has; `--resume`
 goes on from there.
@@ -6,15 +6,16 @@ goes on from there.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from common import (
     PALMS,
     Figure,
     Settings,
+    earlier,
     outcome,
     percent,
     percent_interval,
@@ -34,13 +35,12 @@ GAITS = {"gait": "thesis", "coordinated": "coordinated"}
 FULL_TURN_GOAL = 0.8  # of trials, on the first three
 FLOOR = 3.1  # median on the cylinder [rad]
 HEADER = (
-    "Object",
-    "Palm",
-    "Gait",
-    "Rotation: median (10-90 %) [rad]",
-    "Time held: median [s]",
-    "Holding at the end",
-    "Full turn (95 % interval)",
+    "Object, palm",
+    *(
+        f"{gait}: {what}"
+        for gait in GAITS.values()
+        for what in ("rotation [rad]", "held [s]", "full turn")
+    ),
 )
 
 
@@ -54,20 +54,6 @@ class Options(Settings):
     """Simulated, each trial."""
     objects: tuple[str, ...] = (*EASY, *HARDER)
     """Objects to turn."""
-    resume: bool = False
-    """Keep the rows of an earlier run with the same settings."""
-
-
-def earlier(given: Options) -> list[dict[str, Any]]:
-    """Rows of an interrupted run."""
-    path = given.out / "gaits.json"
-    if not (given.resume and path.is_file()):
-        return []
-    found = json.loads(path.read_text())
-    same = all(
-        found["settings"][name] == getattr(given, name) for name in ("seed", "trials", "seconds")
-    )
-    return found["trials"] if same else []
 
 
 def measure(gait: str, scene: Scene, palm: str, given: Options) -> dict[str, Any]:
@@ -77,18 +63,32 @@ def measure(gait: str, scene: Scene, palm: str, given: Options) -> dict[str, Any
     return {"object": scene.object, "palm": palm, "gait": GAITS[gait], **outcome(trace)}
 
 
-def line(row: Mapping[str, Any]) -> list[str]:
-    """A row for README."""
-    rotation = row["rotation_rad"]
+def cells(row: Mapping[str, Any]) -> list[str]:
+    """What README shows of a row."""
+    rotation, held = row["rotation_rad"], row["time_held_s"]
     return [
-        row["object"].replace("_", " "),
-        row["palm"],
-        row["gait"],
         f"{rotation['median']:.1f} ({rotation['p10']:.1f}-{rotation['p90']:.1f})",
-        f"{row['time_held_s']['median']:.0f}",
-        f"{100 * row['holding']['share']:.0f} %",
+        f"{held['median']:.0f} ({held['p10']:.0f}-{held['p90']:.0f})",
         percent_interval(row["reached"]),
     ]
+
+
+def table_of(rows: list[dict[str, Any]], given: Options) -> dict[str, Any]:
+    """Both gaits side by side: one line for each object and palm direction."""
+    found = {(row["object"], row["palm"], row["gait"]): cells(row) for row in rows}
+    lines = []
+    for name, palm in dict.fromkeys((row["object"], row["palm"]) for row in rows):
+        line = [f"{name.replace('_', ' ')}, {palm}"]
+        for gait in GAITS.values():
+            line += found.get((name, palm, gait), [""] * 3)
+        lines.append(line)
+    return {
+        "title": f"Thesis gait and coordinated gait, {given.seconds:g} s, {given.trials} trials "
+        "each: rotation before any drop and time held, medians (10th to 90th percentile), and "
+        "share of trials with a full turn (95 % interval)",
+        "header": list(HEADER),
+        "rows": lines,
+    }
 
 
 def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
@@ -119,29 +119,27 @@ def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
     return out
 
 
+def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
+    """Write the result with the rows so far."""
+    figures, table = figures_of(rows, given.seconds), table_of(rows, given)
+    write("gaits", given, figures, [table], trials=rows, say=say)
+
+
 def main() -> None:
     given = settings(Options, __doc__)
     hand = dexctl.hands.load("dex5")
-    rows = earlier(given)
+    rows = earlier("gaits", given)
+    scenes: dict[tuple[str, str], Scene] = {}
     done = {(row["object"], row["palm"], row["gait"]) for row in rows}
-    for name in given.objects:
-        for palm in PALMS:
-            scene = Scene.build(hand, name, palm)
-            for gait, title in GAITS.items():
-                if (name, palm, title) in done:
-                    continue
-                progress(f"{name}, palm {palm}, {title}")
-                rows.append(measure(gait, scene, palm, given))
-                table = {
-                    "title": f"Thesis gait and coordinated gait, {given.seconds:g} s, "
-                    f"{given.trials} trials each",
-                    "header": list(HEADER),
-                    "rows": [line(row) for row in rows],
-                }
-                write(
-                    "gaits", given, figures_of(rows, given.seconds), [table], trials=rows, say=False
-                )
-                progress("  " + " | ".join(line(rows[-1])))
+    wanted = product(given.objects, PALMS, GAITS)
+    for name, palm, gait in wanted:
+        if (name, palm, GAITS[gait]) in done:
+            continue
+        scene = scenes.setdefault((name, palm), Scene.build(hand, name, palm))
+        rows.append(measure(gait, scene, palm, given))
+        progress(f"{name}, palm {palm}, {GAITS[gait]}: {' | '.join(cells(rows[-1]))}")
+        save(rows, given, say=False)
+    save(rows, given, say=True)
 
 
 if __name__ == "__main__":

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
 
-from common import (
-    Settings,
-    outcome,
-    percent_interval,
-    progress,
-    settings,
-    trials,
-    write,
-)
+from common import Settings, earlier, grid, outcome, progress, settings, trials, write
 from numpy.typing import ArrayLike
 
 import dexctl
@@ -77,7 +71,6 @@ CONDITIONS: dict[str, Condition] = {
         tracked=False,
     ),
 }
-# heavy objects palm up, light grips palm down: each the harder way for some of the conditions
 SCENES = (("cylinder", "up"), ("cylinder", "down"), ("cube", "up"), ("cube", "down"))
 
 
@@ -93,40 +86,45 @@ class Options(Settings):
     """Which."""
 
 
+def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> list[list[str]]:
+    """Write the result with the rows so far; the lines of its table."""
+    texts = {name: condition.text for name, condition in CONDITIONS.items()}
+    header, lines = grid(rows, "condition", texts, SCENES)
+    table = {
+        "title": f"Coordinated gait under other conditions: median rotation in "
+        f"{given.seconds:g} s, share still holding (95 % interval), {given.trials} trials each",
+        "header": header,
+        "rows": lines,
+    }
+    write("robustness", given, [], [table], trials=rows, say=say)
+    return lines
+
+
 def main() -> None:
     given = settings(Options, __doc__)
     hand = dexctl.hands.load("dex5")
-    scenes = [Scene.build(hand, name, palm) for name, palm in SCENES]
-    rows, lines = [], []
-    for chosen in given.conditions:
+    scenes = {key: Scene.build(hand, *key) for key in SCENES}
+    rows = earlier("robustness", given)
+    done = {(row["condition"], row["object"], row["palm"]) for row in rows}
+    for chosen, key in product(given.conditions, SCENES):
+        if (chosen, *key) in done:
+            continue
         condition = CONDITIONS[chosen]
-        cells = [condition.text]
-        for (name, palm), scene in zip(SCENES, scenes, strict=True):
-            gait = CoordinatedGait(hand)
-            controller = gait if condition.tracked else Untracked(gait)
-            trace = trials(
-                controller,
-                scene,
-                given.seconds,
-                given.trials,
-                seed=given.seed,
-                tactile=condition.tactile,
-                parameters=condition.parameters,
-            )
-            row = {"condition": chosen, "object": name, "palm": palm, **outcome(trace)}
-            rows.append(row)
-            cells.append(
-                f"{row['rotation_rad']['median']:.1f} rad, {percent_interval(row['holding'])}"
-            )
-        progress(f"{chosen}: " + " | ".join(cells[1:]))
-        lines.append(cells)
-    table = {
-        "title": f"Coordinated gait under other conditions: median rotation in {given.seconds:g} s,"
-        f" share still holding (95 % interval), {given.trials} trials each",
-        "header": ["Condition", *(f"{name}, palm {palm}" for name, palm in SCENES)],
-        "rows": lines,
-    }
-    write("robustness", given, [], [table], trials=rows)
+        gait = CoordinatedGait(hand)
+        trace = trials(
+            gait if condition.tracked else Untracked(gait),
+            scenes[key],
+            given.seconds,
+            given.trials,
+            seed=given.seed,
+            tactile=condition.tactile,
+            parameters=condition.parameters,
+        )
+        row = {"condition": chosen, "object": key[0], "palm": key[1], **outcome(trace)}
+        rows.append(row)
+        lines = save(rows, given, say=False)
+        progress(f"{chosen}, {key[0]}, palm {key[1]}: {lines[-1][1 + SCENES.index(key)]}")
+    save(rows, given, say=True)
 
 
 if __name__ == "__main__":

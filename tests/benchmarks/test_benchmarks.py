@@ -1,0 +1,117 @@
+"""Every script in benchmarks/ runs with tiny settings, and README shows what was measured."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "benchmarks"
+SHORT = ["--trials", "2", "--seconds", "0.5"]
+RUNS: dict[str, list[str]] = {
+    "igm_latency.py": ["--count", "10", "--rounds", "2"],
+    "gait_batch.py": ["--environments", "4", "--steps", "4", "--warm-up", "1"],
+    "simulator.py": ["--environments", "4", "--steps", "3", "--rounds", "2"],
+    "in_grasp.py": SHORT,
+    "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
+    "ablation.py": [*SHORT, "--variants", "complete", "no_governor"],
+    "allegro.py": SHORT,
+    "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
+}
+
+
+def run(script: str, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, str(FOLDER / script), *map(str, arguments)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def test_every_script_is_run_here() -> None:
+    scripts = {path.name for path in FOLDER.glob("*.py")} - {"common.py", "readme.py"}
+    assert scripts == set(RUNS)
+
+
+@pytest.mark.parametrize("script", RUNS)
+def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    arguments = [*RUNS[script], "--out", tmp_path]
+    if script == "allegro.py":
+        arguments += ["--folder", request.getfixturevalue("menagerie")]
+    done = run(script, *arguments)
+    assert done.returncode == 0, done.stderr
+    name = Path(script).stem
+    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.json"]
+    result = json.loads((tmp_path / f"{name}.json").read_text())
+    assert result["benchmark"] == name
+    assert result["machine"]["versions"]["mujoco"][0].isdigit()
+    assert result["settings"]["seed"] == 0
+    assert result["figures"] or result["tables"]
+    for table in result["tables"]:
+        assert {len(row) for row in table["rows"]} == {len(table["header"])}
+
+
+def test_interrupted_run_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "ablation.json"
+    arguments = [*SHORT, "--out", tmp_path, "--variants"]
+    assert run("ablation.py", *arguments, "complete").returncode == 0
+    first = json.loads(path.read_text())["trials"]
+    again = run("ablation.py", *arguments, "complete", "no_governor", "--resume")
+    assert again.returncode == 0, again.stderr
+    assert "complete," not in again.stderr  # its rows were there
+    rows = json.loads(path.read_text())["trials"]
+    assert rows[: len(first)] == first
+    assert len(rows) == 2 * len(first)
+
+
+def test_allegro_without_its_files_is_skipped(tmp_path: Path) -> None:
+    done = run("allegro.py", *SHORT, "--out", tmp_path, "--folder", tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.startswith("skipped: wonik_allegro")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_settings_are_refused(tmp_path: Path) -> None:
+    done = run("in_grasp.py", "--trials", "0", "--out", tmp_path)
+    assert done.returncode != 0
+    assert "num_envs is 0" in done.stderr
+
+
+def test_results_are_there() -> None:
+    assert {path.stem for path in (FOLDER / "results").glob("*.json")} == {
+        Path(script).stem for script in RUNS
+    }
+
+
+def test_readme_shows_the_results() -> None:
+    done = run("readme.py", "--check")
+    assert done.returncode == 0, done.stderr
+
+
+def test_readme_is_renewed_between_its_comments(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text("head\n<!-- figures:begin -->\nold\n<!-- figures:end -->\ntail\n")
+    assert run("readme.py", "--readme", readme, "--check").returncode == 1
+    assert "old" in readme.read_text()
+    assert run("readme.py", "--readme", readme).returncode == 0
+    text = readme.read_text()
+    assert text.startswith("head\n<!-- figures:begin -->\nMeasured on ")
+    assert text.endswith("<!-- figures:end -->\ntail\n")
+    assert "old" not in text
+    assert run("readme.py", "--readme", readme, "--check").returncode == 0
+
+
+def test_readme_without_comments_is_an_error(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text("<!-- figures:end --> <!-- figures:begin -->")
+    done = run("readme.py", "--readme", readme)
+    assert done.returncode == 2
+    assert "expected one <!-- figures:begin -->" in done.stderr
