@@ -26,7 +26,7 @@ $(stamp): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || { echo \
 	    "dexctl needs Python 3.11 to 3.13; choose one: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(bin)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[viz,dev]'
+	$(bin)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fast,viz,dev]'
 	@touch $@
 
 venv: $(stamp)

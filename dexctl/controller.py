@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from types import MappingProxyType
 from typing import Any, final
 
@@ -102,7 +103,7 @@ def check_action(action: Floats) -> Floats:
     Raises:
         InvalidInput: it is not, because the state was not; names the environments.
     """
-    if not np.isfinite(action).all():
+    if not isfinite(action.sum()):  # far quicker than looking at each, and no less sure
         bad = np.flatnonzero(~np.isfinite(action).all(axis=-1))
         where = f" in environments {bad[:8].tolist()}" if action.ndim > 1 else ""
         raise InvalidInput(f"the state is not finite{where}: NaN or infinity in q, touch or pose")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dexctl.hand import HandModel
-from dexctl.state import Floats, GraspState
+from dexctl.state import Floats
 
 
 class SetPointLimits:
@@ -29,13 +29,13 @@ class SetPointLimits:
         self._step = np.minimum(max_speed, hand.velocity) * control_period
         self._lead = max_lead
 
-    def __call__(self, state: GraspState, change: Floats) -> Floats:
-        """The limited change ``(..., d)`` [rad]."""
+    def __call__(self, q: Floats, q_target: Floats, change: Floats) -> Floats:
+        """The limited change ``(..., d)`` [rad] of set-points ``q_target`` for joints at ``q``."""
         excess = np.abs(change / self._step).max(axis=-1, keepdims=True)
-        target = state.q_target + change / np.maximum(excess, 1.0)
-        low = np.maximum(state.q - self._lead, self._lower)
-        high = np.minimum(state.q + self._lead, self._upper)
+        target = q_target + change / np.maximum(excess, 1.0)
+        low = np.maximum(q - self._lead, self._lower)
+        high = np.minimum(q + self._lead, self._upper)
         # a joint beyond its limit would turn the bounds round: the limit wins
         target = np.minimum(np.maximum(target, np.minimum(low, self._upper)), high)
         target = np.maximum(target, self._lower)
-        return np.where(change != 0, target - state.q_target, 0.0)
+        return np.where(change != 0, target - q_target, 0.0)

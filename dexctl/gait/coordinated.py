@@ -143,7 +143,7 @@ class CoordinatedGait(Controller):
             return holds_without(grasps.of(rows), finger, self.config.friction)
 
         switching = self.switch.command(state, now, origin, may_lift)
-        switching = self._limits(state, switching)
+        switching = self._limits(state.q, state.q_target, switching)
         released = self.switch.released
         furthest = np.where(state.in_contact & ~released, angle, -np.inf).max(axis=1)
         pace = np.clip((self.config.most_travel - furthest) / self.config.slow_down, 0.0, 1.0)

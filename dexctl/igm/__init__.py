@@ -1,6 +1,7 @@
 """In-grasp manipulation: turns a held object without letting go of it."""
 
-from dexctl.igm.controller import InGraspManipulation, InGraspManipulationConfig, Share
+from dexctl.igm.config import InGraspManipulationConfig
+from dexctl.igm.controller import InGraspManipulation, Share
 from dexctl.igm.stability import StableForces, push_directions, stable_forces
 
 __all__ = [

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,92 +11,15 @@ from numpy.typing import ArrayLike
 
 from dexctl.configuration import HandConfiguration
 from dexctl.controller import Controller, check_action, check_state
+from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.hand import HandModel
-from dexctl.igm.inverse import ContactInverse
-from dexctl.igm.regulation import Regulation
-from dexctl.igm.stability import push_directions, stable_forces
-from dexctl.limits import SetPointLimits
-from dexctl.rotations import cross
+from dexctl.igm.config import InGraspManipulationConfig
+from dexctl.igm.plain import PlainStep
+from dexctl.igm.regulation import Reference
+from dexctl.igm.step import StepInput, StepResult
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import check_numbers, check_twist
 
-
-@dataclass(frozen=True, kw_only=True)
-class InGraspManipulationConfig:
-    """Settings of `InGraspManipulation`; speeds are per second.
-
-    Attributes:
-        twist: wanted object velocity (linear [m/s], angular [rad/s]), world frame; the thesis's
-            Delta o over the control period.
-        grip_force: normal force of the finger that presses hardest [N]; scales the QP's result.
-        stability_gain: set-point speed per force error (alpha of eq. dqstab) [m/(N s)].
-        regulariser: rho of the QP; pulls all forces towards the largest one.
-        min_force: least force of a holding finger, as a fraction of `grip_force`.
-        friction: how far a finger may push aside from the normal, towards the object's centre, as
-            a friction coefficient; forces through the centre balance where normals do not. It
-            must stay well below the real one. 0: along the normal only.
-        length: torques are divided by it in the QP [m]; None: mean contact distance.
-        damping: of the least-squares inverse [m].
-        height_gain, centring_gain: pull the object back to where it was at the first call after
-            a reset, along the axis of rotation and across it [1/s].
-        tilt_gain: turns the object's axis back to where it was then [1/s].
-        closing_speed: fingers out of touch move towards the object at this speed [m/s].
-        max_joint_speed: set-points move at most this fast [rad/s].
-        max_lead: set-points stay this close to the measured joints [rad].
-    """
-
-    twist: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.4)
-    grip_force: float = 2.5
-    stability_gain: float = 0.025
-    regulariser: float = 1e-3
-    min_force: float = 0.15
-    friction: float = 0.3
-    length: float | None = None
-    damping: float = 0.005
-    height_gain: float = 1.0
-    centring_gain: float = 1.0
-    tilt_gain: float = 1.0
-    closing_speed: float = 0.03
-    max_joint_speed: float = 2.0
-    max_lead: float = 0.25
-
-    def __post_init__(self) -> None:
-        check_twist(self.twist)
-        check_numbers(
-            self,
-            positive=("grip_force", "damping", "max_joint_speed", "max_lead"),
-            not_negative=(
-                "stability_gain",
-                "regulariser",
-                "friction",
-                "height_gain",
-                "centring_gain",
-                "tilt_gain",
-                "closing_speed",
-            ),
-            fractions=("min_force",),
-        )
-        if self.length is not None:
-            check_numbers(self, positive=("length",))
-
-    @classmethod
-    def thesis(cls, **changes: Any) -> InGraspManipulationConfig:
-        """The controller as the thesis has it: no regulariser, no bound, nothing added."""
-        plain = cls(
-            twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.45),
-            regulariser=0.0,
-            min_force=0.0,
-            friction=0.0,
-            height_gain=0.0,
-            centring_gain=0.0,
-            tilt_gain=0.0,
-            closing_speed=0.0,
-        )
-        return replace(plain, **changes)
-
-    def build(self, hand: HandModel, *, control_period: float = 0.05) -> InGraspManipulation:
-        """The controller for ``hand``."""
-        return InGraspManipulation(hand, self, control_period=control_period)
+_NO_ROWS = np.empty((0, 0))
 
 
 class Share(NamedTuple):
@@ -114,6 +38,18 @@ class Share(NamedTuple):
     twist: Floats | None = None
     yielding: Floats | None = None
 
+    def row(self) -> Share:
+        """The share of one hand ``()`` as one row of a batch."""
+        return Share(
+            None if self.released is None else self.released[None],
+            None if self.max_force is None else self.max_force[None],
+            None if self.twist is None else self.twist[None],
+            None if self.yielding is None else self.yielding[None],
+        )
+
+
+_ALL = Share()
+
 
 class InGraspManipulation(Controller):
     """Moves the object with the fingers that hold it, and keeps the hold.
@@ -126,6 +62,10 @@ class InGraspManipulation(Controller):
         hand: the hand.
         config: the settings; keyword arguments change single ones.
         control_period: [s].
+
+    Raises:
+        MissingExtra: the compiled engine is asked for by name, and numba is not installed.
+        InvalidInput: it is asked for where it cannot be used.
     """
 
     def __init__(
@@ -139,22 +79,37 @@ class InGraspManipulation(Controller):
         super().__init__(hand, control_period=control_period)
         self.config = replace(config or InGraspManipulationConfig(), **changes)
         self._twist = np.array(self.config.twist, float)
-        self._inverse = ContactInverse(hand, self.config.damping)
-        self._limits = SetPointLimits(
-            hand, self.config.max_joint_speed, self.config.max_lead, control_period
-        )
-        self._regulation = Regulation(
-            self._twist,
-            height_gain=self.config.height_gain,
-            centring_gain=self.config.centring_gain,
-            tilt_gain=self.config.tilt_gain,
-        )
+        turn = np.linalg.norm(self._twist[3:])
+        self.axis = self._twist[3:] / turn if turn > 0 else np.array([0.0, 0.0, 1.0])
+        self._reference = Reference(self.axis)
+        self.engine = self._engine()
+        if self.engine == "compiled":
+            from dexctl.igm.compiled_step import CompiledStep
+
+            self._step = CompiledStep(hand, self.config, self.axis, control_period)
+        else:
+            self._step = PlainStep(hand, self.config, self.axis, control_period)
+        self._fill(0)
+
+    def _engine(self) -> str:
+        config, obstacle = self.config, ""
+        if self.hand.shares_joints:
+            obstacle = "the fingers of this hand share joints"
+        elif config.regulariser == 0:
+            obstacle = "the regulariser is 0"
+        if config.engine == "compiled":
+            if obstacle:
+                raise InvalidInput(f"engine is 'compiled', but {obstacle}; expected 'plain'")
+            if find_spec("numba") is None:
+                raise MissingExtra("the compiled engine", "fast")
+        usable = not obstacle and find_spec("numba") is not None
+        return "compiled" if usable and config.engine != "plain" else "plain"
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
-        self._regulation.reset(mask)
+        self._reference.reset(mask)
 
     def act(self, state: GraspState) -> Floats:
-        return self.command(state, Share())
+        return self.command(state, _ALL)
 
     def command(
         self, state: GraspState, share: Share, hand_now: HandConfiguration | None = None
@@ -164,81 +119,69 @@ class InGraspManipulation(Controller):
         ``hand_now`` is the hand's configuration at ``state.q``, where the caller has it already.
         """
         check_state(self.hand, state)
-        config = self.config
-        touch = state.in_contact if share.released is None else state.in_contact & ~share.released
+        single = not state.batch_shape
+        count = 1 if single else len(state.q)
+        self._reference.meet(count)
+        if len(self._ones) != count:
+            self._fill(count)
         if hand_now is None:
             hand_now = self.hand.configuration(state.q)
-        touching = touch[..., None]
-        point = np.where(touching, state.contact_position, hand_now.fingertip_position)
-        normal = np.where(touching, state.contact_normal, 0.0)
-        origin = _origin(state, touch, point)
-        lever = point - origin[..., None, :]
-
-        push = push_directions(normal, lever, config.friction)
-        upper = touch.astype(float) if share.max_force is None else touch * share.max_force
-        forces, residual, held = stable_forces(
-            lever,
-            push,
-            touch,
-            upper,
-            min_force=config.min_force,
-            regulariser=config.regulariser,
-            length=config.length,
+        if single:
+            share = share.row()
+        touch = state.in_contact[None] if single else state.in_contact
+        if share.released is None:
+            free = ~touch
+        else:
+            free = ~(touch | share.released)
+            touch = touch & ~share.released
+        tracked = (state.object_position, state.object_quaternion)
+        position, quaternion = (_NO_ROWS if a is None else a for a in tracked)
+        arrays = (
+            state.q,
+            state.q_target,
+            state.contact_position,
+            state.contact_normal,
+            state.contact_force,
+            position,
+            quaternion,
         )
-        desired = config.grip_force * forces
-        jacobian = hand_now.finger_jacobian(point)
-
-        # eq. dqstab: along the normal, by the force error
-        press = config.stability_gain * (desired - np.where(touch, state.contact_force, 0.0))
-        velocity = press[..., None] * push
-        if share.yielding is not None:
-            self._yield(velocity, share.yielding, state, jacobian)
-        # eq. dqrot: with the object; superposed before the inverse, which is linear
-        twist = self._twist if share.twist is None else share.twist
-        twist = twist + self._regulation.twist(state, origin)
-        velocity += np.where(touching, _rigid(twist, lever), 0.0)
-        if config.closing_speed:
-            free = ~touch if share.released is None else ~(touch | share.released)
-            if free.any():
-                velocity += np.where(free[..., None], self._closing(lever), 0.0)
-
-        velocity *= self.control_period
-        change = self._limits(state, self._inverse.solve(jacobian, velocity))
+        if single:
+            hand_now = hand_now[None]
+            arrays = tuple(a if a is _NO_ROWS else a[None] for a in arrays)
+        q, q_target, point, normal, force, position, quaternion = arrays
+        result = self._step(
+            StepInput(
+                hand_now=hand_now,
+                q=q,
+                q_target=q_target,
+                touch=touch,
+                closing=free if self.config.closing_speed else self._none,
+                position=point,
+                normal=normal,
+                force=force,
+                object_position=position,
+                object_quaternion=quaternion,
+                reference=self._reference,
+                twist=self._wanted if share.twist is None else share.twist,
+                max_force=self._ones if share.max_force is None else share.max_force,
+                yielding=self._zeros if share.yielding is None else share.yielding,
+            )
+        )
+        check_action(result.change)
+        if not self._reference.complete:
+            self._reference.learn(result.origin, quaternion)
+        if single:
+            result = StepResult(*(part[0] for part in result))
         self._diagnostics = {
-            "desired_force": desired,
-            "residual": residual,
-            "held": held,
-            "origin": origin,
+            "desired_force": result.desired,
+            "residual": result.residual,
+            "held": result.held,
+            "origin": result.origin,
         }
-        return check_action(change)
+        return result.change
 
-    def _yield(self, velocity: Floats, rate: Floats, state: GraspState, jacobian: Floats) -> None:
-        """Where ``rate`` is above zero, let the set-point go back to the finger, in place."""
-        lead = (state.q_target - state.q)[..., self.hand.finger_joints][..., None, :]
-        deflection = (lead @ jacobian)[..., 0, :]
-        # exact over a control period of any length
-        speed = -np.expm1(-rate * self.control_period) / self.control_period
-        np.copyto(velocity, -speed[..., None] * deflection, where=(rate > 0)[..., None])
-
-    def _closing(self, lever: Floats) -> Floats:
-        """Velocity across the axis of rotation, towards the object's centre."""
-        axis = self._regulation.axis
-        across = lever - (lever @ axis)[..., None] * axis
-        distance = np.sqrt((across * across).sum(axis=-1, keepdims=True))
-        return -self.config.closing_speed * across / np.maximum(distance, 1e-9)
-
-
-def _origin(state: GraspState, touch: Bools, point: Floats) -> Floats:
-    """The object's centre; where nothing tracks it, the centroid of the contacts."""
-    if state.object_position is not None:
-        return state.object_position
-    weight = touch.astype(float)[..., None]
-    count = weight.sum(axis=-2)
-    return np.where(
-        count > 0, (weight * point).sum(axis=-2) / np.maximum(count, 1.0), point.mean(axis=-2)
-    )
-
-
-def _rigid(twist: Floats, lever: Floats) -> Floats:
-    """G^T t: the velocities ``(..., m, 3)`` of points of an object that moves with ``twist``."""
-    return twist[..., None, :3] + cross(twist[..., None, 3:], lever)
+    def _fill(self, count: int) -> None:
+        """Constants for N hands that a `Share` may stand in for."""
+        shape = (count, self.hand.n_fingers)
+        self._ones, self._zeros, self._none = np.ones(shape), np.zeros(shape), np.zeros(shape, bool)
+        self._wanted = np.tile(self._twist, (count, 1))

@@ -1,4 +1,4 @@
-"""Regulation: pulls the held object back to where the grasp found it, beside the wanted motion."""
+"""Reference: where held objects were at first, which regulation pulls them back to."""
 
 from __future__ import annotations
 
@@ -6,67 +6,62 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
-from dexctl.rotations import cross, inverse, multiply, rotate
-from dexctl.state import Floats, GraspState
+from dexctl.rotations import inverse, rotate
+from dexctl.state import Bools, Floats
 
 
-class Regulation:
-    """A corrective object twist from the deviation since the first call after a reset.
+class Reference:
+    """Poses of N objects at their first step after a reset.
 
-    Height is the position along the axis of the wanted rotation (z where the wanted twist has
-    none), centring is across it, tilt is the angle between that axis, carried by the object, and
-    where it pointed at first. Tilt needs `object_quaternion`.
+    Attributes:
+        position: ``(N, 3)`` [m].
+        carried_axis: the axis of the wanted rotation in the object's frame, ``(N, 3)``.
+        known: which environments have taken their reference, ``(N,)``.
     """
 
-    def __init__(
-        self, twist: Floats, *, height_gain: float, centring_gain: float, tilt_gain: float
-    ) -> None:
-        turn = twist[3:]
-        size = np.linalg.norm(turn)
-        self.axis = turn / size if size > 0 else np.array([0.0, 0.0, 1.0])
-        along = np.outer(self.axis, self.axis)
-        self._gain = height_gain * along + centring_gain * (np.eye(3) - along)
-        self._tilt_gain = tilt_gain
-        self.active = bool(height_gain or centring_gain or tilt_gain)
-        self._position: Floats | None = None
-        self._quaternion: Floats | None = None
-        self._fresh: np.ndarray | None = None
+    def __init__(self, axis: Floats) -> None:
+        self._axis = axis
+        self._allocate(0)
+
+    def _allocate(self, count: int) -> None:
+        self.position = np.zeros((count, 3))
+        self.carried_axis = np.zeros((count, 3))
+        self.known: Bools = np.zeros(count, bool)
+        self.complete = count == 0
 
     def reset(self, mask: ArrayLike | None = None) -> None:
-        """Take the next state of the environments in ``mask`` (None: all) as the new reference."""
-        if mask is None or self._fresh is None:
-            self._position = self._quaternion = self._fresh = None
-        else:
-            self._fresh = self._fresh | np.asarray(mask, bool)
+        """Take the next step of the environments in ``mask`` (None: all) as the reference."""
+        if mask is None:
+            self._allocate(0)
+            return
+        chosen = np.asarray(mask, bool)
+        if not len(self.known):
+            return
+        if chosen.shape != self.known.shape:
+            raise InvalidInput(f"mask has shape {chosen.shape}; expected {self.known.shape}")
+        self.known = self.known & ~chosen
+        self.complete = bool(self.known.all())
 
-    def twist(self, state: GraspState, origin: Floats) -> Floats | float:
-        """The correction ``(..., 6)``; 0.0 where nothing is regulated."""
-        if not self.active:
-            return 0.0
-        reference = self._remember(state, origin)
-        out = np.zeros((*state.batch_shape, 6))
-        out[..., :3] = (reference - origin) @ self._gain
-        if self._tilt_gain and state.object_quaternion is not None and self._quaternion is not None:
-            turned = multiply(state.object_quaternion, inverse(self._quaternion))
-            out[..., 3:] = self._tilt_gain * cross(rotate(turned, self.axis), self.axis)
-        return out
+    def meet(self, count: int) -> None:
+        """Make room for N environments, the first time they come.
 
-    def _remember(self, state: GraspState, origin: Floats) -> Floats:
-        """Keep the poses of environments just reset; where the objects were then."""
-        quaternion = state.object_quaternion
-        if self._position is None:
-            self._position, self._quaternion = origin.copy(), quaternion
-            self._fresh = np.zeros(state.batch_shape, bool)
-            return self._position
-        if self._position.shape != origin.shape:
+        Raises:
+            InvalidInput: another number came before, with no reset in between.
+        """
+        if len(self.known) == count:
+            return
+        if len(self.known):
             raise InvalidInput(
-                f"the controller was reset for batch shape {self._position.shape[:-1]} and got "
-                f"{state.batch_shape}; call reset() before the batch shape changes"
+                f"the controller was reset for {len(self.known)} hands and got {count}; call "
+                "reset() before the batch shape changes"
             )
-        if self._fresh is not None and self._fresh.any():
-            fresh = self._fresh[..., None]
-            self._position = np.where(fresh, origin, self._position)
-            if quaternion is not None and self._quaternion is not None:
-                self._quaternion = np.where(fresh, quaternion, self._quaternion)
-            self._fresh = np.zeros(state.batch_shape, bool)
-        return self._position
+        self._allocate(count)
+
+    def learn(self, origin: Floats, quaternion: Floats) -> None:
+        """Take the reference of the environments that have none; quaternions may be missing."""
+        new = ~self.known
+        self.position[new] = origin[new]
+        if len(quaternion):
+            self.carried_axis[new] = rotate(inverse(quaternion[new]), self._axis)
+        self.known = np.ones_like(self.known)
+        self.complete = True

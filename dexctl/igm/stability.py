@@ -58,6 +58,9 @@ def stable_forces(
     lower = np.minimum(min_force, upper)
     if touch.ndim == 1:
         forces, held = _single(gram, lower, upper, touch, regulariser)
+    elif len(touch) == 1:
+        found, one = _single(gram[0], lower[0], upper[0], touch[0], regulariser)
+        forces, held = found[None], np.array([one])
     else:
         forces, held = solve_stability_batch(
             gram.transpose(1, 2, 0), lower.T, upper.T, regulariser, touch.T

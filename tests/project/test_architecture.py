@@ -45,6 +45,7 @@ DOORS = {
     "proxsuite": ["dexctl/grasp/"],
     "casadi": ["dexctl/switch/"],
     "mink": ["dexctl/switch/finger_ik.py"],
+    "numba": ["dexctl/igm/compiled.py"],
     # mink's models are MuJoCo's, so its door needs MuJoCo too
     "mujoco": ["dexctl/sim/", "dexctl/description.py", "dexctl/switch/finger_ik.py"],
     "mujoco_menagerie": ["dexctl/hands/"],

@@ -1,0 +1,374 @@
+"""The in-grasp step as one compiled loop (numba, extra `fast`): the same sums as `plain.py`.
+
+A step is some thousand multiplications; called array by array, numpy spends ten times longer on
+the calls than on the sums. Installed with the extra `fast`, controllers take this path by
+themselves, for one hand and for batches; tests hold it to the plain path.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, types
+
+TOLERANCE = 1e-9  # on bounds and multipliers, as in dexctl.grasp.box_qp
+TIE = 1e-9  # as in dexctl.grasp.stability_solver
+SHORTEST = 1e-3  # floor of the characteristic length [m]
+FREE, LOWER, UPPER = 0, -1, 1
+
+
+def _compiled(signature=None):
+    """`njit`, kept on disk between runs where a folder for it can be written."""
+
+    def decorate(function):
+        try:
+            return njit(signature, cache=True, nogil=True)(function)
+        except RuntimeError:  # numba found no place for its cache
+            return njit(signature, nogil=True)(function)
+
+    return decorate
+
+
+@_compiled()
+def _box(table, y, lower, upper, at):
+    """Principal pivoting for one box QP, in place; the rise of its objective (see box_qp)."""
+    k = len(y)
+    rise = 0.0
+    at[:] = FREE
+    greedy = 3 * k + 4
+    for count in range(5000):
+        pick, worst = -1, TOLERANCE
+        for i in range(k):
+            if at[i] == FREE:
+                violation = max(y[i] - upper[i], lower[i] - y[i])
+            elif upper[i] == lower[i]:
+                continue
+            else:
+                violation = at[i] * y[i]
+            if violation > worst:
+                pick = i
+                if count >= greedy:
+                    break
+                worst = violation
+        if pick < 0:
+            break
+        inverse = 1.0 / table[pick, pick]
+        if at[pick] == FREE:
+            side = UPPER if y[pick] > upper[pick] else LOWER
+            held = upper[pick] if side == UPPER else lower[pick]
+            step = (held - y[pick]) * inverse
+            rise += (held - y[pick]) * step
+            entering = step
+        else:
+            side = FREE
+            step = -y[pick] * inverse
+            rise += y[pick] * step
+            entering = step + (upper[pick] if at[pick] == UPPER else lower[pick])
+        at[pick] = side
+        for i in range(k):
+            if i != pick:
+                f = table[i, pick]
+                y[i] += f * step
+                for c in range(k):
+                    if c != pick:
+                        table[i, c] -= f * inverse * table[pick, c]
+                table[i, pick] = f * inverse
+        for c in range(k):
+            if c != pick:
+                table[pick, c] *= -inverse
+        table[pick, pick] = inverse
+        y[pick] = entering
+    return rise
+
+
+@_compiled()
+def _invert(matrix, k):
+    """Inverse of the symmetric positive definite (k, k) matrix, by Cholesky."""
+    low = np.zeros((k, k))
+    for i in range(k):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for c in range(j):
+                total -= low[i, c] * low[j, c]
+            low[i, j] = np.sqrt(total) if i == j else total / low[j, j]
+    for i in range(k):  # low becomes its own inverse
+        low[i, i] = 1.0 / low[i, i]
+        for j in range(i):
+            total = 0.0
+            for c in range(j, i):
+                total -= low[i, c] * low[c, j]
+            low[i, j] = total * low[i, i]
+    out = np.empty((k, k))
+    for i in range(k):
+        for j in range(i + 1):
+            total = 0.0
+            for c in range(i, k):
+                total += low[c, i] * low[c, j]
+            out[i, j] = total
+            out[j, i] = total
+    return out
+
+
+@_compiled()
+def _stable_forces(wrench, active, k, low, high, rho, forces):
+    """The stability QP of one hand into ``forces`` (m,); returns the contact held at one."""
+    forces[:] = 0.0
+    if k == 0:
+        return -1
+    gram = np.empty((k, k))
+    lower, upper = np.empty(k), np.empty(k)
+    for a in range(k):
+        i = active[a]
+        lower[a], upper[a] = low[i], high[i]
+        for b in range(a + 1):
+            total = 0.0
+            for c in range(6):
+                total += wrench[i, c] * wrench[active[b], c]
+            gram[a, b] = total
+            gram[b, a] = total
+        gram[a, a] += rho
+    table = _invert(gram, k)
+    free = np.zeros(k)
+    for a in range(k):
+        for b in range(k):
+            table[a, b] *= rho
+            free[a] += table[a, b]
+    at = np.empty(k, np.int64)
+    work, y = np.empty((k, k)), np.empty(k)
+    best, held = np.inf, -1
+    any_one = False
+    for j in range(k):
+        any_one = any_one or upper[j] == 1.0
+    for j in range(k):
+        if any_one and (upper[j] != 1.0 or (1.0 - free[j]) ** 2 / table[j, j] > best + TIE):
+            continue
+        work[:] = table
+        y[:] = free
+        least = lower[j]
+        if any_one:
+            lower[j] = 1.0
+        rise = _box(work, y, lower, upper, at)
+        lower[j] = least
+        if rise < best - TIE:
+            best = rise
+            held = active[j] if any_one else -1
+            for a in range(k):
+                side = at[a]
+                value = y[a] if side == FREE else (upper[a] if side == UPPER else lower[a])
+                if any_one and a == j:
+                    value = 1.0
+                forces[active[a]] = min(max(value, lower[a]), upper[a])
+        if not any_one:
+            break
+    return held
+
+
+def _read(kind, dimensions):
+    """An array that is only read, however it lies in memory: one signature takes them all."""
+    return types.Array(kind, dimensions, "A", readonly=True)
+
+
+_F1, _F2, _F3, _F4 = (_read(types.float64, n) for n in (1, 2, 3, 4))
+_I1, _I2 = (_read(types.int64, n) for n in (1, 2))
+_B1, _B2 = (_read(types.boolean, n) for n in (1, 2))
+# with its signature given it is compiled when imported, not in the middle of a control loop
+_HAND_AND_CONTACTS = (_F4, _F3, _I2, _I1, _F2, _F2, _B2, _B2, _F3, _F3, _F2)
+_OBJECT_AND_WANTED = (_F2, _F2, _F2, _F2, _B1, _F2, _F2, _F2)
+_SETTINGS = (_F1, types.UniTuple(types.float64, 13), _F2)
+
+
+@_compiled((*_HAND_AND_CONTACTS, *_OBJECT_AND_WANTED, *_SETTINGS))
+def in_grasp_step(
+    finger_twist,
+    tips,
+    joints,
+    counts,
+    q,
+    q_target,
+    touch,
+    closing,
+    position,
+    normal,
+    force,
+    object_position,
+    object_quaternion,
+    reference_position,
+    reference_axis,
+    known,
+    wanted,
+    max_force,
+    yielding,
+    axis,
+    settings,
+    joint_limits,
+):
+    """N in-grasp steps; arguments and results as in `plain.in_grasp_step`, with N in front.
+
+    ``object_position`` and ``object_quaternion`` have no rows where nothing tracks the object.
+    """
+    count, m = touch.shape
+    n = joints.shape[1]
+    (grip, gain, rho, least, friction, length, damping, dt) = settings[:8]
+    (height_gain, centring_gain, tilt_gain, closing_speed, max_lead) = settings[8:]
+    change = np.zeros(q.shape)
+    desired = np.zeros((count, m))
+    residual = np.zeros(count)
+    held = np.empty(count, np.int64)
+    origin = np.zeros((count, 3))
+    lever, push, wrench = np.empty((m, 3)), np.zeros((m, 3)), np.zeros((m, 6))
+    active, low, high = np.empty(m, np.int64), np.empty(m), np.empty(m)
+    jacobian, velocity, twist = np.empty((n, 3)), np.empty(3), np.empty(6)
+    tracked, oriented = len(object_position) > 0, len(object_quaternion) > 0
+
+    for e in range(count):
+        k = 0
+        for i in range(m):
+            if touch[e, i]:
+                active[k] = i
+                k += 1
+        for c in range(3):
+            if tracked:
+                origin[e, c] = object_position[e, c]
+            elif k > 0:
+                for a in range(k):
+                    origin[e, c] += position[e, active[a], c] / k
+            else:
+                for i in range(m):
+                    origin[e, c] += tips[e, i, c] / m
+        # unit wrenches of the pushes
+        mean = 0.0
+        for i in range(m):
+            square, along = 0.0, 0.0
+            for c in range(3):
+                lever[i, c] = (position[e, i, c] if touch[e, i] else tips[e, i, c]) - origin[e, c]
+                push[i, c] = 0.0
+                if touch[e, i]:
+                    square += lever[i, c] ** 2
+                    along -= lever[i, c] * normal[e, i, c]
+            low[i] = high[i] = 0.0
+            if not touch[e, i]:
+                continue
+            mean += np.sqrt(square) / k
+            high[i] = max_force[e, i]
+            low[i] = min(least, high[i])
+            aside = 0.0
+            for c in range(3):
+                aside += (-lever[i, c] - along * normal[e, i, c]) ** 2
+            size = np.sqrt(aside)
+            slope = min(size / max(along, 1e-9), friction)
+            for c in range(3):
+                push[i, c] = normal[e, i, c]
+                if friction > 0:
+                    towards = -lever[i, c] - along * normal[e, i, c]
+                    push[i, c] += slope * towards / max(size, 1e-9)
+                    push[i, c] /= np.sqrt(1.0 + slope * slope)
+        scale = 1.0 / (length if length > 0 else max(mean, SHORTEST))
+        for a in range(k):
+            i = active[a]
+            for c in range(3):
+                u, v = (c + 1) % 3, (c + 2) % 3
+                wrench[i, c] = push[i, c]
+                wrench[i, 3 + c] = (lever[i, u] * push[i, v] - lever[i, v] * push[i, u]) * scale
+        held[e] = _stable_forces(wrench, active, k, low, high, rho, desired[e])
+        square = 0.0
+        for c in range(6):
+            net = 0.0
+            for a in range(k):
+                net += desired[e, active[a]] * wrench[active[a], c]
+            square += net * net
+        residual[e] = np.sqrt(square)
+
+        # wanted twist, and what pulls the object back to where it was
+        for c in range(6):
+            twist[c] = wanted[e, c]
+        if known[e]:
+            along = 0.0
+            for c in range(3):
+                along += (reference_position[e, c] - origin[e, c]) * axis[c]
+            for c in range(3):
+                off = reference_position[e, c] - origin[e, c]
+                twist[c] += height_gain * along * axis[c] + centring_gain * (off - along * axis[c])
+            if oriented and tilt_gain > 0:
+                w, x, y, z = object_quaternion[e]
+                bx, by, bz = reference_axis[e]
+                tx = 2.0 * (y * bz - z * by)
+                ty = 2.0 * (z * bx - x * bz)
+                tz = 2.0 * (x * by - y * bx)
+                cx = bx + w * tx + y * tz - z * ty
+                cy = by + w * ty + z * tx - x * tz
+                cz = bz + w * tz + x * ty - y * tx
+                twist[3] += tilt_gain * (cy * axis[2] - cz * axis[1])
+                twist[4] += tilt_gain * (cz * axis[0] - cx * axis[2])
+                twist[5] += tilt_gain * (cx * axis[1] - cy * axis[0])
+
+        fastest = 1.0
+        for i in range(m):
+            desired[e, i] *= grip
+            if not (touch[e, i] or closing[e, i]):
+                continue
+            for j in range(counts[i]):
+                t = finger_twist[e, i, j]
+                for c in range(3):
+                    u, v = (c + 1) % 3, (c + 2) % 3
+                    pu, pv = lever[i, u] + origin[e, u], lever[i, v] + origin[e, v]
+                    jacobian[j, c] = t[c] + t[3 + u] * pv - t[3 + v] * pu
+            if touch[e, i]:
+                press = gain * (desired[e, i] - force[e, i])
+                for c in range(3):
+                    velocity[c] = press * push[i, c]
+                if yielding[e, i] > 0:
+                    speed = -np.expm1(-yielding[e, i] * dt) / dt
+                    for c in range(3):
+                        velocity[c] = 0.0
+                        for j in range(counts[i]):
+                            lead = q_target[e, joints[i, j]] - q[e, joints[i, j]]
+                            velocity[c] -= speed * lead * jacobian[j, c]
+                for c in range(3):
+                    u, v = (c + 1) % 3, (c + 2) % 3
+                    velocity[c] += (
+                        twist[c] + twist[3 + u] * lever[i, v] - twist[3 + v] * lever[i, u]
+                    )
+            else:
+                along = 0.0
+                for c in range(3):
+                    along += lever[i, c] * axis[c]
+                square = 0.0
+                for c in range(3):
+                    velocity[c] = lever[i, c] - along * axis[c]
+                    square += velocity[c] ** 2
+                for c in range(3):
+                    velocity[c] *= -closing_speed / max(np.sqrt(square), 1e-9)
+
+            # dq = J^T (J J^T + damping^2 I)^-1 v dt, the 3 x 3 system by cofactors
+            xx = yy = zz = damping**2
+            xy = xz = yz = 0.0
+            for j in range(counts[i]):
+                rx, ry, rz = jacobian[j]
+                xx += rx * rx
+                yy += ry * ry
+                zz += rz * rz
+                xy += rx * ry
+                xz += rx * rz
+                yz += ry * rz
+            c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+            c11, c12, c22 = xx * zz - xz * xz, xy * xz - yz * xx, xx * yy - xy * xy
+            vx, vy, vz = velocity
+            share = dt / (xx * c00 + xy * c01 + xz * c02)
+            sx = (c00 * vx + c01 * vy + c02 * vz) * share
+            sy = (c01 * vx + c11 * vy + c12 * vz) * share
+            sz = (c02 * vx + c12 * vy + c22 * vz) * share
+            for j in range(counts[i]):
+                move = jacobian[j, 0] * sx + jacobian[j, 1] * sy + jacobian[j, 2] * sz
+                change[e, joints[i, j]] = move
+                fastest = max(fastest, abs(move) / joint_limits[2, joints[i, j]])
+
+        # limits of speed, of lead and of range, as in dexctl.limits
+        for d in range(q.shape[1]):
+            if change[e, d] == 0.0:
+                continue
+            lower, upper = joint_limits[0, d], joint_limits[1, d]
+            goal = q_target[e, d] + change[e, d] / fastest
+            bottom = min(max(q[e, d] - max_lead, lower), upper)
+            top = min(q[e, d] + max_lead, upper)
+            goal = max(min(max(goal, bottom), top), lower)
+            change[e, d] = goal - q_target[e, d]
+    return change, desired, residual, held, origin

@@ -1,0 +1,80 @@
+"""CompiledStep: hands the arrays of one in-grasp step to the compiled loop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dexctl.hand import HandModel
+from dexctl.igm.compiled import in_grasp_step
+from dexctl.igm.config import InGraspManipulationConfig
+from dexctl.igm.step import StepInput, StepResult
+from dexctl.state import Floats
+
+
+class CompiledStep:
+    """`PlainStep` as one compiled loop; importing this module compiles it.
+
+    Args:
+        hand: the hand; its fingers must not share joints.
+        config: the settings, with a regulariser.
+        axis: of the wanted rotation, unit vector.
+        control_period: [s].
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        config: InGraspManipulationConfig,
+        axis: Floats,
+        control_period: float,
+    ) -> None:
+        self._axis = np.ascontiguousarray(axis)
+        self._joints = np.ascontiguousarray(hand.finger_joints)
+        self._counts = np.ascontiguousarray(hand.moves.sum(axis=1))
+        speed = np.minimum(config.max_joint_speed, hand.velocity) * control_period
+        self._limits = np.array([hand.lower, hand.upper, speed])
+        self._settings = (
+            float(config.grip_force),
+            float(config.stability_gain),
+            float(config.regulariser),
+            float(config.min_force),
+            float(config.friction),
+            float(config.length or 0.0),
+            float(config.damping),
+            float(control_period),
+            float(config.height_gain),
+            float(config.centring_gain),
+            float(config.tilt_gain),
+            float(config.closing_speed),
+            float(config.max_lead),
+        )
+
+    def __call__(self, step: StepInput) -> StepResult:
+        """One step of every hand."""
+        reference = step.reference
+        return StepResult(
+            *in_grasp_step(
+                step.hand_now.finger_twist,
+                step.hand_now.fingertip_position,
+                self._joints,
+                self._counts,
+                step.q,
+                step.q_target,
+                step.touch,
+                step.closing,
+                step.position,
+                step.normal,
+                step.force,
+                step.object_position,
+                step.object_quaternion,
+                reference.position,
+                reference.carried_axis,
+                reference.known,
+                step.twist,
+                step.max_force,
+                step.yielding,
+                self._axis,
+                self._settings,
+                self._limits,
+            )
+        )

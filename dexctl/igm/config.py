@@ -1,0 +1,103 @@
+"""Settings of in-grasp manipulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from dexctl.exceptions import InvalidInput
+from dexctl.hand import HandModel
+from dexctl.validation import check_numbers, check_twist
+
+if TYPE_CHECKING:
+    from dexctl.igm.controller import InGraspManipulation
+
+ENGINES = ("auto", "compiled", "plain")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InGraspManipulationConfig:
+    """Settings of `InGraspManipulation`; speeds are per second.
+
+    Attributes:
+        twist: wanted object velocity (linear [m/s], angular [rad/s]), world frame; the thesis's
+            Delta o over the control period.
+        grip_force: normal force of the finger that presses hardest [N]; scales the QP's result.
+        stability_gain: set-point speed per force error (alpha of eq. dqstab) [m/(N s)].
+        regulariser: rho of the QP; pulls all forces towards the largest one.
+        min_force: least force of a holding finger, as a fraction of `grip_force`.
+        friction: how far a finger may push aside from the normal, towards the object's centre, as
+            a friction coefficient; forces through the centre balance where normals do not. It
+            must stay well below the real one. 0: along the normal only.
+        length: torques are divided by it in the QP [m]; None: mean contact distance.
+        damping: of the least-squares inverse [m].
+        height_gain, centring_gain: pull the object back to where it was at the first call after
+            a reset, along the axis of rotation and across it [1/s].
+        tilt_gain: turns the object's axis back to where it was then [1/s].
+        closing_speed: fingers out of touch move towards the object at this speed [m/s].
+        max_joint_speed: set-points move at most this fast [rad/s].
+        max_lead: set-points stay this close to the measured joints [rad].
+        engine: "compiled" takes the compiled step (numba, extra `fast`; not for hands whose
+            fingers share joints, nor for a regulariser of zero), "plain" the numpy one; "auto"
+            takes the compiled one where it can be had. Both give the same numbers.
+    """
+
+    twist: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.4)
+    grip_force: float = 2.5
+    stability_gain: float = 0.025
+    regulariser: float = 1e-3
+    min_force: float = 0.15
+    friction: float = 0.3
+    length: float | None = None
+    damping: float = 0.005
+    height_gain: float = 1.0
+    centring_gain: float = 1.0
+    tilt_gain: float = 1.0
+    closing_speed: float = 0.03
+    max_joint_speed: float = 2.0
+    max_lead: float = 0.25
+    engine: str = "auto"
+
+    def __post_init__(self) -> None:
+        check_twist(self.twist)
+        check_numbers(
+            self,
+            positive=("grip_force", "damping", "max_joint_speed", "max_lead"),
+            not_negative=(
+                "stability_gain",
+                "regulariser",
+                "friction",
+                "height_gain",
+                "centring_gain",
+                "tilt_gain",
+                "closing_speed",
+            ),
+            fractions=("min_force",),
+        )
+        if self.length is not None:
+            check_numbers(self, positive=("length",))
+        if self.regulariser and self.regulariser < 1e-6:
+            raise InvalidInput(f"regulariser is {self.regulariser}; expected 0, or 1e-6 and more")
+        if self.engine not in ENGINES:
+            raise InvalidInput(f"engine is {self.engine!r}; expected one of {', '.join(ENGINES)}")
+
+    @classmethod
+    def thesis(cls, **changes: Any) -> InGraspManipulationConfig:
+        """The controller as the thesis has it: no regulariser, no bound, nothing added."""
+        plain = cls(
+            twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.45),
+            regulariser=0.0,
+            min_force=0.0,
+            friction=0.0,
+            height_gain=0.0,
+            centring_gain=0.0,
+            tilt_gain=0.0,
+            closing_speed=0.0,
+        )
+        return replace(plain, **changes)
+
+    def build(self, hand: HandModel, *, control_period: float = 0.05) -> InGraspManipulation:
+        """The controller for ``hand``."""
+        from dexctl.igm.controller import InGraspManipulation
+
+        return InGraspManipulation(hand, self, control_period=control_period)
