@@ -98,9 +98,7 @@ def test_quaternions_against_scipy(seed):
     ra, rb = scipy_rotation(a), scipy_rotation(b)
     np.testing.assert_allclose(rotate(a, vector), ra.apply(vector), atol=1e-12)
     np.testing.assert_allclose(rotate(inverse(a), vector), ra.inv().apply(vector), atol=1e-12)
-    np.testing.assert_allclose(
-        rotate(multiply(a, b), vector), (ra * rb).apply(vector), atol=1e-12
-    )
+    np.testing.assert_allclose(rotate(multiply(a, b), vector), (ra * rb).apply(vector), atol=1e-12)
     np.testing.assert_allclose(rotation_vector(a), ra.as_rotvec(), atol=1e-10)
 
 
@@ -118,7 +116,9 @@ def test_small_rotations_keep_their_digits(angle):
     np.testing.assert_allclose(rotation_vector(quaternion), [0.0, angle, 0.0], rtol=1e-9)
 
 
-@given(a=arrays(float, (3, 4, 3), elements=st.floats(-10, 10)), b=st.tuples(*[st.floats(-1, 1)] * 3))
+@given(
+    a=arrays(float, (3, 4, 3), elements=st.floats(-10, 10)), b=st.tuples(*[st.floats(-1, 1)] * 3)
+)
 def test_cross_products(a, b):
     for left, right in ((a, np.array(b)), (np.array(b), a), (a, a[::-1])):
         np.testing.assert_allclose(cross(left, right), np.cross(left, right), atol=1e-12)

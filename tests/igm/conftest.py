@@ -50,7 +50,9 @@ def _finger(i: int, angle: float, joints: int) -> str:
     """A finger on a circle about z: a roll joint about the radius, then flexion joints."""
     x, y = np.cos(angle), np.sin(angle)
     link = 0.14 / max(joints - 1, 1)
-    out = f'<body pos="{0.055 * x} {0.055 * y} 0"><joint name="roll{i}" axis="{x} {y} 0"/>{_INERTIA}'
+    out = (
+        f'<body pos="{0.055 * x} {0.055 * y} 0"><joint name="roll{i}" axis="{x} {y} 0"/>{_INERTIA}'
+    )
     for j in range(joints - 1):
         height = 0.02 if j == 0 else link
         out += f'<body pos="0 0 {height}"><joint name="flex{i}{j}" axis="{-y} {x} 0"/>{_INERTIA}'

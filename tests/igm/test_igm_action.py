@@ -228,7 +228,7 @@ def test_nothing_touches_and_nothing_is_tracked(dex5, grasp_of, posture):
 def test_pushes_lean_towards_the_centre(dex5, grasp_of, posture):
     """With friction the stability motion is along `push_directions`, not along the normals."""
     state = grasp_of(dex5, posture)
-    off = replace(state, object_position=state.object_position + [0.01, 0.0, 0.005])
+    off = replace(state, object_position=state.object_position + np.array([0.01, 0.0, 0.005]))
     controller = InGraspManipulation(
         dex5, twist=STILL, height_gain=0.0, centring_gain=0.0, tilt_gain=0.0, **EXACT
     )

@@ -73,4 +73,6 @@ def test_batches(batch):
     lever = rng.normal(size=(*batch, 5, 3)) * 0.05
     push = push_directions(normal, lever, 0.3)
     for index in np.ndindex(*batch):
-        np.testing.assert_array_equal(push[index], push_directions(normal[index], lever[index], 0.3))
+        np.testing.assert_array_equal(
+            push[index], push_directions(normal[index], lever[index], 0.3)
+        )

@@ -53,7 +53,7 @@ def test_height_and_centring(dex5, grasp_of, posture):
     """Along the axis (z) with one gain, across it with the other; back to where it was."""
     controller, state = regulator(dex5), grasp_of(dex5, posture)
     controller.act(state)
-    moved = replace(state, object_position=state.object_position + [0.004, -0.002, 0.003])
+    moved = replace(state, object_position=state.object_position + np.array([0.004, -0.002, 0.003]))
     twist = object_twist(dex5, moved, controller.act(moved))
     np.testing.assert_allclose(twist, [-0.008, 0.004, -0.003, 0, 0, 0], atol=1e-9)
 
@@ -61,7 +61,7 @@ def test_height_and_centring(dex5, grasp_of, posture):
 def test_height_is_along_the_axis_of_the_wanted_rotation(dex5, grasp_of, posture):
     controller, state = regulator(dex5, (1.0, 0.0, 0.0)), grasp_of(dex5, posture)
     controller.act(state)
-    moved = replace(state, object_position=state.object_position + [0.004, -0.002, 0.003])
+    moved = replace(state, object_position=state.object_position + np.array([0.004, -0.002, 0.003]))
     twist = object_twist(dex5, moved, controller.act(moved))
     np.testing.assert_allclose(twist, [-0.004, 0.004, -0.006, 0, 0, 0], atol=1e-9)
 
@@ -92,7 +92,7 @@ def test_an_object_tracked_in_position_only(dex5, grasp_of, posture):
     controller = regulator(dex5)
     state = replace(grasp_of(dex5, posture), object_quaternion=None)
     controller.act(state)
-    moved = replace(state, object_position=state.object_position + [0.0, 0.0, 0.003])
+    moved = replace(state, object_position=state.object_position + np.array([0.0, 0.0, 0.003]))
     twist = object_twist(dex5, moved, controller.act(moved))
     np.testing.assert_allclose(twist, [0, 0, -0.003, 0, 0, 0], atol=1e-9)
 
@@ -104,7 +104,7 @@ def test_each_gain_can_be_switched_off(dex5, grasp_of, posture, gain):
     controller.act(state)
     moved = replace(
         state,
-        object_position=state.object_position + [0.004, 0.0, 0.003],
+        object_position=state.object_position + np.array([0.004, 0.0, 0.003]),
         object_quaternion=tilted(0.1, (1.0, 0.0, 0.0)),
     )
     twist = object_twist(dex5, moved, controller.act(moved))
@@ -117,7 +117,7 @@ def test_reset_takes_a_new_reference_where_it_is_asked_to(dex5, grasp_of, postur
     controller, one = regulator(dex5), grasp_of(dex5, posture)
     state = one[None][[0, 0, 0]]
     controller.act(state)
-    moved = replace(state, object_position=state.object_position + [0.0, 0.0, 0.003])
+    moved = replace(state, object_position=state.object_position + np.array([0.0, 0.0, 0.003]))
     controller.reset(mask=np.array([True, False, True]))
     change = controller.act(moved)
     np.testing.assert_allclose(change[[0, 2]], 0.0, atol=1e-12)

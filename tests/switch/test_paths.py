@@ -44,7 +44,9 @@ def tips(hand: HandModel, q: np.ndarray, path: JointPath, times: np.ndarray) -> 
 
 
 def test_straight_between_knots_and_held_outside():
-    path = JointPath(np.array([3, 4]), np.array([0.0, 1.0, 3.0]), np.array([[0, 0], [1, -2], [5, 0]]))
+    path = JointPath(
+        np.array([3, 4]), np.array([0.0, 1.0, 3.0]), np.array([[0, 0], [1, -2], [5, 0]])
+    )
     np.testing.assert_allclose(path.at(0.5), [0.5, -1.0])
     np.testing.assert_allclose(path.at(2.0), [3.0, -1.0])
     np.testing.assert_allclose(path.at(-1.0), [0.0, 0.0])
@@ -72,7 +74,7 @@ def test_a_planned_swing_keeps_clear_of_both_planes(dex5, q, paths, angle):
 
 def test_no_plan_for_a_landing_out_of_reach(dex5, q, paths):
     tip, normal, landing = swing(dex5, q, 0.3)
-    far = Landing(landing.tip + [0.0, 0.0, 1.0], landing.normal)
+    far = Landing(landing.tip + np.array([0.0, 0.0, 1.0]), landing.normal)
     assert paths.planned(q, FINGER, tip, tip + RADIUS * normal, normal, far) is None
 
 
