@@ -49,7 +49,9 @@ def _skip_named_tuple_fields(
     return True if (getattr(member, "__doc__", None) or "").startswith("Alias for field") else None
 
 
-def _plain_bars(app: Any, what: str, name: str, member: Any, options: Any, lines: list[str]) -> None:
+def _plain_bars(
+    app: Any, what: str, name: str, member: Any, options: Any, lines: list[str]
+) -> None:
     """Absolute values, |x| <= y: reStructuredText would take |x| for a substitution."""
     for i, line in enumerate(lines):
         parts = re.split(r"(`[^`]*`)", line)
