@@ -59,6 +59,24 @@ def _plain_bars(
         lines[i] = "".join(parts)
 
 
+_properties: dict[str, list[str]] = {}
+
+
+def _keep_property(
+    app: Any, what: str, name: str, member: Any, options: Any, lines: list[str]
+) -> None:
+    """Before napoleon: it reads "What was found: a mapping" as a type and its description."""
+    if what == "property":
+        _properties[name] = list(lines)
+
+
+def _restore_property(
+    app: Any, what: str, name: str, member: Any, options: Any, lines: list[str]
+) -> None:
+    if any(line.startswith(":type:") for line in lines):
+        lines[:] = _properties.get(name, lines)
+
+
 def _plain_aliases(
     app: Any, what: str, name: str, member: Any, options: Any, signature: str, returns: str
 ) -> tuple[str, str] | None:
@@ -72,5 +90,7 @@ def _plain_aliases(
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("autodoc-skip-member", _skip_named_tuple_fields)
+    app.connect("autodoc-process-docstring", _keep_property, priority=100)
+    app.connect("autodoc-process-docstring", _restore_property, priority=800)
     app.connect("autodoc-process-docstring", _plain_bars, priority=900)
     app.connect("autodoc-process-signature", _plain_aliases)
