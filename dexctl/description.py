@@ -6,9 +6,12 @@ taken from the compiled model, so that it is what the simulator moves.
 
 from __future__ import annotations
 
+import importlib
+import os
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -97,10 +100,23 @@ class Description:
         return found
 
 
+def load_mujoco() -> ModuleType:
+    """MuJoCo, imported when it is first needed.
+
+    Raises:
+        HandModelError: it cannot be imported, as with a MUJOCO_GL that does not work here.
+    """
+    try:
+        return importlib.import_module("mujoco")
+    except (AttributeError, ImportError, OSError, RuntimeError) as error:
+        asked = os.environ.get("MUJOCO_GL")
+        hint = f" with MUJOCO_GL={asked}: unset it, or set it to egl" if asked else ""
+        raise HandModelError(f"MuJoCo cannot be loaded{hint} ({error})") from None
+
+
 def read_mjcf(path: Path) -> Description:
     """Read an MJCF file through MuJoCo's compiler."""
-    import mujoco  # its own import cost is paid only where an MJCF is read
-
+    mujoco = load_mujoco()
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:

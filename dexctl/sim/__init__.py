@@ -3,6 +3,7 @@
 Importing this package loads MuJoCo; `import dexctl` does not.
 """
 
+from dexctl.sim.engine import VERSION as MUJOCO_VERSION
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.objects import object_names
 from dexctl.sim.record import Recorder
@@ -13,6 +14,7 @@ from dexctl.sim.trial import Trace, run
 from dexctl.sim.viewer import Viewer
 
 __all__ = [
+    "MUJOCO_VERSION",
     "BatchSimulator",
     "GroupedSimulator",
     "Recorder",
