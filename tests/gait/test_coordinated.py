@@ -1,0 +1,237 @@
+"""CoordinatedGait: turns objects on the simulated hand, and never lets go of what it holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dexctl import GraspState
+from dexctl.exceptions import InvalidInput
+from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
+from dexctl.grasp import is_force_closure
+from dexctl.igm import InGraspManipulationConfig
+from dexctl.sim import BatchSimulator, Scene
+from dexctl.sim.trial import Trace, run, rotation_about_z
+from dexctl.switch import GuardedSwitchConfig, Phase
+
+
+def starts(phase: np.ndarray, wanted: int) -> np.ndarray:
+    """(step, environment) of every time that ``wanted`` began."""
+    return np.argwhere((phase[1:] == wanted) & (phase[:-1] != wanted)) + np.array([1, 0])
+
+
+def trace(scene: Scene, seconds: float, count: int = 4, rate: float = 20.0, **settings) -> Trace:
+    sim = BatchSimulator(scene, count, control_period=1 / rate, substeps=round(200 / rate))
+    return run(CoordinatedGait(scene.hand, control_period=1 / rate, **settings), sim, seconds)
+
+
+@pytest.fixture(scope="module")
+def turned_cube(cube) -> Trace:
+    return trace(cube, 12.0)
+
+
+def test_turns_the_cube_and_holds_it(turned_cube):
+    assert not turned_cube.dropped.any() and not turned_cube.diverged.any()
+    assert (turned_cube.final_rotation > 1.0).all()
+    phase = turned_cube.diagnostics["phase"]
+    landed = starts(phase, Phase.LOAD)
+    assert (np.bincount(landed[:, 1], minlength=4) >= 5).all()
+    fingers = turned_cube.diagnostics["finger"][tuple(landed.T)]
+    assert set(fingers.tolist()) == set(range(5))  # all take their turn
+
+
+def test_the_rest_is_a_force_closure_whenever_a_finger_lifts(turned_cube):
+    finger = turned_cube.diagnostics["finger"]
+    lifts = starts(turned_cube.diagnostics["phase"], Phase.LIFT)
+    assert len(lifts) >= 20
+    for step, env in lifts:
+        others = turned_cube.in_contact[step, env].copy()
+        others[finger[step, env]] = False
+        assert others.sum() >= 3
+        assert is_force_closure(
+            turned_cube.contact_position[step, env],
+            turned_cube.contact_normal[step, env],
+            others,
+            turned_cube.object_position[step, env],
+            CoordinatedGaitConfig().friction,
+        )
+
+
+def test_one_finger_at_a_time(turned_cube):
+    """Four of five hold on while one is on its way."""
+    phase = turned_cube.diagnostics["phase"]
+    swinging = (phase >= Phase.LIFT) & (phase <= Phase.PLACE)
+    assert np.mean(turned_cube.in_contact[:-1].sum(axis=-1)[swinging] >= 4) > 0.95
+
+
+def test_turns_the_other_way_too(cylinder):
+    back = InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, -0.35))
+    found = trace(cylinder, 8.0, in_grasp=back)
+    assert not found.dropped.any() and (found.final_rotation < -0.7).all()
+
+
+def test_an_untracked_object_is_turned_all_the_same(cylinder, loop):
+    def untracked(state: GraspState) -> GraspState:
+        return replace(state, object_position=None, object_quaternion=None)
+
+    sim = BatchSimulator(cylinder, 4)
+    poses = [sim.read().object_quaternion]
+
+    def see(state: GraspState) -> GraspState:
+        poses.append(state.object_quaternion)
+        return untracked(state)
+
+    found = loop(CoordinatedGait(cylinder.hand), sim, 200, see)
+    away = np.linalg.norm(sim.read().object_position - sim.start_position, axis=-1)
+    assert (away < 0.05).all()
+    assert (rotation_about_z(np.array(poses))[-1] > 0.8).all()
+    assert len(starts(found.of("phase"), Phase.LOAD)) >= 8
+
+
+def test_twice_the_control_rate(cylinder):
+    slow, fast = (trace(cylinder, 10.0, rate=rate) for rate in (20.0, 40.0))
+    assert slow.held.all() and fast.held.all()
+    np.testing.assert_allclose(fast.final_rotation, slow.final_rotation, rtol=0.2)
+    counts = [len(starts(one.diagnostics["phase"], Phase.LOAD)) for one in (slow, fast)]
+    assert abs(counts[0] - counts[1]) <= 0.35 * max(counts)
+
+
+@pytest.mark.parametrize(
+    "switch",
+    [GuardedSwitchConfig(path="planned"), GuardedSwitchConfig(far_distance=1e-3)],
+    ids=["planned", "inverse kinematics"],
+)
+def test_swings_through_joint_angles_land_too(cylinder, switch):
+    found = trace(cylinder, 8.0, count=2, switch=switch)
+    assert not found.dropped.any() and (found.final_rotation > 0.5).all()
+    landed = starts(found.diagnostics["phase"], Phase.LOAD)
+    assert len(landed) >= 4
+    before = found.diagnostics["phase"][landed[:, 0] - 1, landed[:, 1]]
+    assert (before == Phase.PLACE).all()
+
+
+def test_no_finger_moves_where_the_others_would_not_hold(cube):
+    """Without friction to count on, no four contacts of a cube are a closure."""
+    found = trace(cube, 4.0, friction=1e-4)
+    assert not found.diagnostics["phase"].any()
+    assert not found.dropped.any()
+
+
+def test_the_object_waits_where_no_finger_may_switch(cylinder):
+    """It slows down before the furthest finger runs out of reach, and stops."""
+    settings = {"friction": 1e-6, "most_travel": 0.3, "slow_down": 0.2}
+    found = trace(cylinder, 6.0, **settings)
+    assert not found.diagnostics["phase"].any()
+    angle = found.diagnostics["azimuth"]
+    assert angle.max() < 0.3 + 0.03
+    assert (found.diagnostics["pace"][-1] < 0.1).all()
+    speed = np.diff(found.rotation[-40:], axis=0) / 0.05
+    assert np.abs(speed.mean(axis=0)).max() < 0.02
+
+
+def test_closure_lost_while_unloading_stops_the_lift(cube):
+    """Four others hold when a finger starts to unload, and two when it is about to lift."""
+    controller = CoordinatedGait(cube.hand, least_travel=0.0)
+    state = BatchSimulator(cube, 3).read()
+    controller.act(state)
+    finger = controller.diagnostics["finger"]
+    assert (controller.diagnostics["phase"] == Phase.UNLOAD).all()
+    touch = np.zeros((3, 5), bool)
+    for row, f in enumerate(finger):
+        touch[row, [f, (f + 1) % 5, (f + 2) % 5]] = True
+    lost = replace(state, in_contact=touch, contact_force=np.full((3, 5), 0.1))
+    seen = set()
+    for _ in range(30):
+        controller.act(lost)
+        seen |= set(controller.diagnostics["phase"].ravel().tolist())
+    assert seen == {Phase.UNLOAD, Phase.LOAD, Phase.IDLE}
+
+
+def test_the_finger_that_came_furthest_goes_first(cylinder):
+    """And of those that have not come far enough, none."""
+    state = BatchSimulator(cylinder, 2, disturbance=0.0).read()
+    patient = CoordinatedGait(cylinder.hand, swing=0.0, least_travel=0.2, residual_weight=0.0)
+    patient.act(state)
+    assert not patient.diagnostics["phase"].any()
+    q = state.q.copy()
+    hand = cylinder.hand
+    # finger 3 has gone further round than the others
+    roll = np.flatnonzero(hand.moves[3])[0]
+    base = hand.fingertip_positions(q[0])[3]
+    step = hand.contact_jacobian(q[0], hand.fingertip_positions(q[0]))[3][:, roll]
+    sign = np.sign(base[0] * step[1] - base[1] * step[0])
+    q[1, roll] += sign * 0.35
+    patient.act(replace(state, q=q, q_target=q))
+    assert patient.diagnostics["finger"].tolist() == [-1, 3]
+    assert patient.diagnostics["azimuth"][1].argmax() == 3
+
+
+def test_few_fingers_turn_what_they_can(cylinder):
+    """With three in touch none can be spared: in-grasp manipulation alone, no error."""
+    controller = CoordinatedGait(cylinder.hand, least_travel=0.0)
+    state = BatchSimulator(cylinder, 2).read()
+    touch = np.array([[True, False, True, False, True]] * 2)
+    for _ in range(20):
+        action = controller.act(replace(state, in_contact=touch))
+    assert action.any() and not controller.diagnostics["phase"].any()
+    nothing = replace(state, in_contact=np.zeros((2, 5), bool))
+    assert np.isfinite(controller.act(nothing)).all()
+
+
+@pytest.mark.slow
+def test_a_full_turn_of_the_cylinder(cylinder):
+    found = trace(cylinder, 60.0, count=16)
+    assert np.mean(found.final_rotation >= 2 * np.pi) >= 0.8
+
+
+# -- settings -----------------------------------------------------------------------------------
+
+POSITIVE = ("most_travel", "slow_down", "friction", "residual_limit")
+NOT_NEGATIVE = ("swing", "least_travel", "pause", "hold_force", "residual_weight")
+
+
+@pytest.mark.parametrize("field", [*POSITIVE, *NOT_NEGATIVE])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, "far", None, True], ids=repr)
+def test_settings_are_checked(dex5, field, value):
+    with pytest.raises(InvalidInput, match=f"^{field} is .*expected"):
+        CoordinatedGaitConfig(**{field: value})
+    with pytest.raises(InvalidInput, match=f"^{field} is .*expected"):
+        CoordinatedGait(dex5, **{field: value})
+
+
+@pytest.mark.parametrize("field", POSITIVE)
+def test_zero_where_it_makes_no_sense(field):
+    with pytest.raises(InvalidInput, match=f"^{field} is 0"):
+        CoordinatedGaitConfig(**{field: 0.0})
+
+
+def test_a_gait_needs_a_rotation(dex5):
+    still = InGraspManipulationConfig(twist=(0.01, 0.0, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(InvalidInput, match="a gait needs a rotation"):
+        CoordinatedGait(dex5, in_grasp=still)
+
+
+def test_another_batch_shape_needs_a_reset(cylinder):
+    controller = CoordinatedGait(cylinder.hand)
+    state = BatchSimulator(cylinder, 3).read()
+    controller.act(state)
+    for other in (state[:2], state[0]):
+        with pytest.raises(InvalidInput, match=r"call reset\(\) before the batch shape changes"):
+            controller.act(other)
+    controller.reset()
+    assert controller.act(state[0]).shape == (15,)
+
+
+@pytest.mark.parametrize(
+    "field", ["q", "q_target", "object_position", "contact_position", "contact_force"]
+)
+def test_states_that_are_not_finite_are_refused(cylinder, field):
+    controller = CoordinatedGait(cylinder.hand)
+    state = BatchSimulator(cylinder, 3).read()
+    controller.act(state)
+    broken = np.array(getattr(state, field))
+    broken[1] = np.nan
+    with np.errstate(invalid="ignore"), pytest.raises(InvalidInput, match=r"not finite.*\[1"):
+        controller.act(replace(state, **{field: broken}))
