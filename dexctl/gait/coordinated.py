@@ -105,7 +105,7 @@ class CoordinatedGait(Controller):
         self.axis = self._twist[3:] / np.linalg.norm(self._twist[3:])
         self.switch = GuardedSwitch(hand, self.axis, self.config.switch, control_period)
         speed = self.config.in_grasp.max_joint_speed
-        self._limits = SetPointLimits(hand, speed, np.inf, control_period)
+        self._limits = SetPointLimits(hand, speed, self.config.in_grasp.max_lead, control_period)
         self._fresh: np.ndarray | None = None
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
