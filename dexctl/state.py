@@ -74,6 +74,17 @@ class GraspState:
         """``()`` for one hand, ``(N,)`` for N."""
         return self.q.shape[:-1]
 
+    def object_centre(self) -> Floats:
+        """Where the object is, ``(..., 3)`` [m]; where nothing tracks it, the contacts' centroid.
+
+        The origin where there is neither.
+        """
+        if self.object_position is not None:
+            return self.object_position
+        touching = self.in_contact[..., None]
+        total = np.where(touching, self.contact_position, 0.0).sum(axis=-2)
+        return total / np.maximum(touching.sum(axis=-2), 1)
+
     def __getitem__(self, index: Any) -> GraspState:
         """The state of some environments: ``state[3]``, ``state[mask]``, ``state[None]``."""
         fields = {}

@@ -165,11 +165,7 @@ class _Guarded:
             self._wait = np.zeros(count)
         now = self._hand.configuration(state.q)
         tip = now.fingertip_position
-        origin = state.object_position
-        if origin is None:
-            weight = state.in_contact[..., None].astype(float)
-            contact = np.where(state.in_contact[..., None], state.contact_position, 0.0)
-            origin = contact.sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0)
+        origin = state.object_centre()
         self._begin(state, tip, origin)
 
         def may_lift(rows: Indices, finger: Indices) -> Bools:

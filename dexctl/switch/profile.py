@@ -235,7 +235,7 @@ class SwitchProfile:
         into_object = np.sum(middle * normal, axis=-1)
         away = np.where(into_object > 0, -1.0, 1.0)
         if self.roll_direction == "against":
-            surface = np.cross(self.axis, point - _object_centre(state))
+            surface = np.cross(self.axis, point - state.object_centre())
             with_object = np.sum(roll * surface, axis=-1)
             sideways = np.where(with_object > 0, -1.0, 1.0)
         else:
@@ -272,12 +272,3 @@ def random_contact(in_contact: Bools, draw: Floats) -> Indices:
     wanted = np.floor(draw * count).astype(np.intp) + 1
     found = in_contact & (order == wanted[..., None])
     return np.where(count > 0, found.argmax(axis=-1), -1)
-
-
-def _object_centre(state: GraspState) -> Floats:
-    """The object's position, or the centroid of the contacts where it is not tracked."""
-    if state.object_position is not None:
-        return state.object_position
-    weight = state.in_contact[..., None].astype(float)
-    total = np.where(weight > 0, state.contact_position, 0.0).sum(axis=-2)
-    return total / np.maximum(weight.sum(axis=-2), 1.0)
