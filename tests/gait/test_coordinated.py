@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
 from dexctl.grasp import is_force_closure
 from dexctl.igm import InGraspManipulationConfig
 from dexctl.sim import BatchSimulator, Scene
-from dexctl.sim.trial import Trace, run, rotation_about_z
+from dexctl.sim.trial import Trace, rotation_about_z, run
 from dexctl.switch import GuardedSwitchConfig, Phase
 
 
@@ -84,7 +85,7 @@ def test_an_untracked_object_is_turned_all_the_same(cylinder, loop):
         return untracked(state)
 
     found = loop(CoordinatedGait(cylinder.hand), sim, 200, see)
-    away = np.linalg.norm(sim.read().object_position - sim.start_position, axis=-1)
+    away = np.linalg.norm(np.asarray(sim.read().object_position) - sim.start_position, axis=-1)
     assert (away < 0.05).all()
     assert (rotation_about_z(np.array(poses))[-1] > 0.8).all()
     assert len(starts(found.of("phase"), Phase.LOAD)) >= 8
@@ -121,7 +122,7 @@ def test_no_finger_moves_where_the_others_would_not_hold(cube):
 
 def test_the_object_waits_where_no_finger_may_switch(cylinder):
     """It slows down before the furthest finger runs out of reach, and stops."""
-    settings = {"friction": 1e-6, "most_travel": 0.3, "slow_down": 0.2}
+    settings: dict[str, Any] = {"friction": 1e-6, "most_travel": 0.3, "slow_down": 0.2}
     found = trace(cylinder, 6.0, **settings)
     assert not found.diagnostics["phase"].any()
     angle = found.diagnostics["azimuth"]
@@ -195,16 +196,18 @@ NOT_NEGATIVE = ("swing", "least_travel", "pause", "hold_force", "residual_weight
 @pytest.mark.parametrize("field", [*POSITIVE, *NOT_NEGATIVE])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, "far", None, True], ids=repr)
 def test_settings_are_checked(dex5, field, value):
+    settings: dict[str, Any] = {field: value}
     with pytest.raises(InvalidInput, match=f"^{field} is .*expected"):
-        CoordinatedGaitConfig(**{field: value})
+        CoordinatedGaitConfig(**settings)
     with pytest.raises(InvalidInput, match=f"^{field} is .*expected"):
         CoordinatedGait(dex5, **{field: value})
 
 
 @pytest.mark.parametrize("field", POSITIVE)
 def test_zero_where_it_makes_no_sense(field):
+    settings: dict[str, Any] = {field: 0.0}
     with pytest.raises(InvalidInput, match=f"^{field} is 0"):
-        CoordinatedGaitConfig(**{field: 0.0})
+        CoordinatedGaitConfig(**settings)
 
 
 def test_a_gait_needs_a_rotation(dex5):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ PERIOD = 0.05
 STILL = (0.0,) * 6
 TURN = (0.01, -0.02, 0.005, 0.1, -0.2, 0.4)
 # no damping to speak of, no limit in the way: the equations as they stand
-EXACT = {"damping": 1e-7, "max_joint_speed": 1e3, "max_lead": 1e3}
+EXACT: dict[str, Any] = {"damping": 1e-7, "max_joint_speed": 1e3, "max_lead": 1e3}
 
 
 def wiggled(posture: np.ndarray, seed: int, batch: tuple[int, ...] = ()) -> np.ndarray:
@@ -211,7 +212,7 @@ def test_the_centroid_of_the_contacts_stands_in_for_an_untracked_object(dex5, gr
     tracked = replace(untracked, object_position=centre)
     for config in (InGraspManipulationConfig(), InGraspManipulationConfig.thesis()):
         actions = [config.build(dex5).act(one) for one in (untracked, tracked)]
-        np.testing.assert_allclose(*actions, atol=1e-12)
+        np.testing.assert_allclose(actions[0], actions[1], atol=1e-12)
 
 
 def test_nothing_touches_and_nothing_is_tracked(dex5, grasp_of, posture):

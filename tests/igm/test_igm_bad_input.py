@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,16 +23,18 @@ BAD = [float("nan"), float("inf"), -1.0, "fast", True, (1.0,)]
 @pytest.mark.parametrize("field", [*POSITIVE, *NOT_NEGATIVE, "min_force"])
 @pytest.mark.parametrize("value", BAD, ids=repr)
 def test_settings_are_checked(dex5, field, value):
+    settings: dict[str, Any] = {field: value}
     with pytest.raises(InvalidInput, match=f"^{field} is .*expected"):
-        InGraspManipulationConfig(**{field: value})
+        InGraspManipulationConfig(**settings)
     with pytest.raises(InvalidInput, match=f"^{field} is .*expected"):
         InGraspManipulation(dex5, **{field: value})
 
 
 @pytest.mark.parametrize("field", POSITIVE)
 def test_zero_where_it_makes_no_sense(field):
+    settings: dict[str, Any] = {field: 0.0}
     with pytest.raises(InvalidInput, match=f"{field} is 0.0"):
-        InGraspManipulationConfig(**{field: 0.0})
+        InGraspManipulationConfig(**settings)
 
 
 def test_a_share_above_one():

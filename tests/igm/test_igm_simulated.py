@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,10 @@ def trace(scene: Scene, seconds: float, rate: float = 20.0, **changes) -> Trace:
     sim = BatchSimulator(scene, 4, control_period=1 / rate, substeps=round(200 / rate))
     controller = InGraspManipulation(scene.hand, control_period=1 / rate, **changes)
     return run(controller, sim, seconds)
+
+
+def height_of(sim: BatchSimulator) -> np.ndarray:
+    return np.asarray(sim.read().object_position)[:, 2]
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
@@ -54,14 +60,14 @@ def test_regulation_brings_a_lifted_object_back(cylinder):
     for gain in (1.0, 0.0):
         sim = BatchSimulator(cylinder, 4)
         sim.reset(0)
-        back = {"height_gain": gain, "centring_gain": gain, "tilt_gain": gain}
+        back: dict[str, Any] = {"height_gain": gain, "centring_gain": gain, "tilt_gain": gain}
         controller = InGraspManipulation(hand, twist=(0.0,) * 6, **back)
         controller.act(sim.read())
         up = InGraspManipulation(hand, twist=(0.0, 0.0, 0.02, 0.0, 0.0, 0.0))
         run(up, sim, 0.5)
-        raised = sim.read().object_position[:, 2]
+        raised = height_of(sim)
         run(controller, sim, 3.0)
-        height = sim.read().object_position[:, 2]
+        height = height_of(sim)
         assert (raised - sim.start_position[:, 2] > 0.003).all()
         heights.append(np.abs(height - sim.start_position[:, 2]))
     assert (heights[0] < 0.5 * heights[1]).all()

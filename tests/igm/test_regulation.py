@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.grasp import grasp_map
 
 PERIOD = 0.05
-GAINS = {"height_gain": 1.0, "centring_gain": 2.0, "tilt_gain": 3.0}
+GAINS: dict[str, Any] = {"height_gain": 1.0, "centring_gain": 2.0, "tilt_gain": 3.0}
 
 
 def regulator(hand: HandModel, axis=(0.0, 0.0, 0.0), **gains: float) -> InGraspManipulation:
@@ -33,7 +34,7 @@ def object_twist(hand: HandModel, state: GraspState, change: np.ndarray) -> np.n
     """The rigid motion per second of the contact points under ``change``, ``(6,)``."""
     jacobian = hand.contact_jacobian(state.q, state.contact_position)
     moved = (jacobian @ change).ravel()
-    G = grasp_map(state.contact_position, state.object_position)
+    G = grasp_map(state.contact_position, np.asarray(state.object_position))
     twist, *_ = np.linalg.lstsq(G.T, moved, rcond=None)
     np.testing.assert_allclose(G.T @ twist, moved, atol=1e-10)
     return twist / PERIOD

@@ -35,7 +35,7 @@ def trace(scene: Scene, seconds: float, rate: float = 20.0, **changes) -> Trace:
 def starts(found: Trace, phase: Phase) -> np.ndarray:
     """(step, environment) of every time that ``phase`` began."""
     phases = found.diagnostics["phase"]
-    return np.argwhere((phases[1:] == phase) & (phases[:-1] != phase)) + [1, 0]
+    return np.argwhere((phases[1:] == phase) & (phases[:-1] != phase)) + np.array([1, 0])
 
 
 @pytest.mark.parametrize("path", ["jacobian", "planned"])
@@ -158,7 +158,8 @@ def test_an_untracked_object_will_do(cylinder, kind):
         sim.step()
         switched += int((controller.diagnostics["finger"] >= 0).sum())
     assert switched > 60
-    assert (np.linalg.norm(sim.read().object_position - sim.start_position, axis=-1) < 0.05).all()
+    away = np.asarray(sim.read().object_position) - sim.start_position
+    assert (np.linalg.norm(away, axis=-1) < 0.05).all()
 
 
 def test_seeds_choose_the_fingers(cylinder, settled):

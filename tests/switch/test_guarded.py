@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ class Bench:
         self.switch = GuardedSwitch(hand, Z, GuardedSwitchConfig(**settings), self.dt)
         self.switch.start(len(q))
         tips = hand.fingertip_positions(q)
-        self.radius = np.linalg.norm(tips[0, 0, :2]) - TIP_RADIUS + PRESS
+        self.radius = float(np.linalg.norm(tips[0, 0, :2])) - TIP_RADIUS + PRESS
         self.centre = np.tile([0.0, 0.0, tips[0, 0, 2]], (len(q), 1))
         self.solid = True
         self.stuck = False
@@ -415,14 +416,16 @@ NOT_NEGATIVE = ("unloaded_force", "place_depth", "touch_force")
 @pytest.mark.parametrize("field", [*POSITIVE, *NOT_NEGATIVE])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -0.1, "slow", None, True], ids=repr)
 def test_settings_are_checked(field, value):
+    settings: dict[str, Any] = {field: value}
     with pytest.raises(InvalidInput, match=f"^{field} is .*expected"):
-        GuardedSwitchConfig(**{field: value})
+        GuardedSwitchConfig(**settings)
 
 
 @pytest.mark.parametrize("field", POSITIVE)
 def test_zero_where_it_makes_no_sense(field):
+    settings: dict[str, Any] = {field: 0.0}
     with pytest.raises(InvalidInput, match=f"^{field} is 0"):
-        GuardedSwitchConfig(**{field: 0.0})
+        GuardedSwitchConfig(**settings)
 
 
 @pytest.mark.parametrize("path", ["straight", "", None, 3, ("planned",)], ids=repr)
