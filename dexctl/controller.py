@@ -29,8 +29,9 @@ class Controller(ABC):
     """
 
     def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:
-        if not (np.isfinite(control_period) and control_period > 0):
-            raise InvalidInput(f"control_period is {control_period}; expected seconds above 0")
+        number = isinstance(control_period, (int, float, np.number))
+        if not (number and np.isfinite(control_period) and control_period > 0):
+            raise InvalidInput(f"control_period is {control_period!r}; expected seconds above 0")
         self.hand = hand
         self.control_period = float(control_period)
         self._diagnostics: dict[str, Any] = {}
@@ -95,6 +96,22 @@ def check_state(hand: HandModel, state: GraspState) -> None:
             f"state has {state.q.shape[-1]} joints and {state.in_contact.shape[-1]} fingers; "
             f"the hand has {hand.nq} joints and {hand.n_fingers} fingers"
         )
+    if state.q.ndim > 2:
+        raise InvalidInput(f"state has batch shape {state.batch_shape}; expected () or (N,)")
+
+
+def check_finite(state: GraspState) -> None:
+    """Raise InvalidInput where what a controller may read of ``state`` is not finite.
+
+    For controllers whose action need not show it. Rows of fingers out of touch are not read.
+    """
+    touch = state.contact_force + (state.contact_position + state.contact_normal).sum(axis=-1)
+    total = (state.q + state.q_target).sum(axis=-1)
+    total = total + np.where(state.in_contact, touch, 0.0).sum(axis=-1)
+    for pose in (state.object_position, state.object_quaternion):
+        if pose is not None:
+            total = total + pose.sum(axis=-1)
+    check_action(total[..., None])
 
 
 def check_action(action: Floats) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
 
@@ -27,6 +28,26 @@ def check_numbers(
                 raise InvalidInput(f"{name} is {value!r}; expected {wanted}")
 
 
+def check_kind(config: object, **kinds: type) -> None:
+    """Raise InvalidInput where a field of ``config`` is not of the class given for it."""
+    for name, kind in kinds.items():
+        value = getattr(config, name)
+        if not isinstance(value, kind):
+            raise InvalidInput(f"{name} is {value!r}; expected a {kind.__name__}")
+
+
+def check_mask(mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """``mask`` as an array of ``shape``; InvalidInput where it is not of bools of that shape."""
+    array = np.asarray(mask)
+    if array.ndim == 0 and shape == (1,):  # one hand, kept as a batch of one
+        array = array.reshape(1)
+    if array.dtype != bool or array.shape != shape:
+        raise InvalidInput(
+            f"mask has shape {array.shape} and kind {array.dtype}; expected bools of shape {shape}"
+        )
+    return array
+
+
 def check_twist(twist: object) -> None:
     """Raise InvalidInput where ``twist`` is not six finite numbers."""
     try:
@@ -37,3 +58,13 @@ def check_twist(twist: object) -> None:
         raise InvalidInput(
             f"twist is {twist!r}; expected six finite numbers: (linear [m/s], angular [rad/s])"
         )
+
+
+def check_axis(axis: object) -> None:
+    """Raise InvalidInput where ``axis`` is not a direction."""
+    try:
+        array = np.asarray(axis, float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (3,) or not np.isfinite(array).all() or not array.any():
+        raise InvalidInput(f"axis is {axis!r}; expected three finite numbers, not all zero")

@@ -17,7 +17,7 @@ from dexctl.limits import SetPointLimits
 from dexctl.state import Floats, GraspState
 from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Phase
 from dexctl.switch.landing import azimuth, landing_at, split, turned
-from dexctl.validation import check_numbers
+from dexctl.validation import check_kind, check_mask, check_numbers
 
 
 def _turning() -> InGraspManipulationConfig:
@@ -56,6 +56,7 @@ class CoordinatedGaitConfig:
     residual_limit: float = 0.6
 
     def __post_init__(self) -> None:
+        check_kind(self, in_grasp=InGraspManipulationConfig, switch=GuardedSwitchConfig)
         check_numbers(
             self,
             positive=("most_travel", "slow_down", "friction", "residual_limit"),
@@ -113,7 +114,7 @@ class CoordinatedGait(Controller):
         if mask is None or self._fresh is None:
             self._fresh = None
         else:
-            self._fresh = self._fresh | np.asarray(mask, bool)
+            self._fresh = self._fresh | check_mask(mask, self._fresh.shape)
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)

@@ -13,6 +13,7 @@ from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 from dexctl.state import Floats, GraspState
 from dexctl.switch.profile import SwitchProfile
+from dexctl.validation import check_kind, check_numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,10 @@ class FingerGaitingConfig:
     in_grasp: InGraspManipulationConfig = field(default_factory=InGraspManipulationConfig.thesis)
     duration: float = 1.0
     speed: tuple[float, float] = (0.1, 0.4)
+
+    def __post_init__(self) -> None:
+        check_kind(self, in_grasp=InGraspManipulationConfig)
+        check_numbers(self, positive=("duration",))
 
 
 class FingerGaiting(Controller):

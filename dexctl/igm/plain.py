@@ -59,6 +59,9 @@ class PlainStep:
         )
         desired = config.grip_force * forces
         jacobian = step.hand_now.finger_jacobian(point)
+        if self._hand.shares_joints:  # fingers that rest do not make up for the wrist's motion
+            moving = (step.touch | step.closing)[..., None, None]
+            jacobian = np.where(moving, jacobian, 0.0)
 
         # eq. dqstab: along the push, by the force error
         press = config.stability_gain * (desired - np.where(step.touch, step.force, 0.0))

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput
 from dexctl.rotations import inverse, rotate
 from dexctl.state import Bools, Floats
+from dexctl.validation import check_mask
 
 
 class Reference:
@@ -34,12 +35,9 @@ class Reference:
         if mask is None:
             self._allocate(0)
             return
-        chosen = np.asarray(mask, bool)
         if not len(self.known):
             return
-        if chosen.shape != self.known.shape:
-            raise InvalidInput(f"mask has shape {chosen.shape}; expected {self.known.shape}")
-        self.known = self.known & ~chosen
+        self.known = self.known & ~check_mask(mask, self.known.shape)
         self.complete = bool(self.known.all())
 
     def meet(self, count: int) -> None:

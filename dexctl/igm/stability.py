@@ -102,5 +102,6 @@ def push_directions(normal: Floats, lever: Floats, friction: float) -> Floats:
     # tangent of the angle from the normal; a centre behind the surface counts as far aside
     slope = np.minimum(size / np.maximum(along, 1e-9), friction)
     direction = normal + slope * aside / np.maximum(size, 1e-9)
-    held = (normal * normal).sum(axis=-1, keepdims=True) > 0  # rows out of contact stay zero
+    # rows out of contact stay zero; what is not a number must not become one
+    held = (normal * normal).sum(axis=-1, keepdims=True) != 0
     return np.where(held, direction / np.sqrt(1.0 + slope * slope), 0.0)

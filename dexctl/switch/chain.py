@@ -50,9 +50,12 @@ def check_vector(name: str, value: ArrayLike, size: int) -> Floats:
     Raises:
         InvalidInput: another shape, or a number that is not finite.
     """
-    array = np.asarray(value, float)
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
     if array.shape != (size,) or not np.isfinite(array).all():
-        raise InvalidInput(f"{name} is {array.tolist()}; expected {size} finite numbers")
+        raise InvalidInput(f"{name} is {value!r}; expected {size} finite numbers")
     return array
 
 

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_action, check_state
+from dexctl.controller import Controller, check_action, check_finite, check_state
 from dexctl.exceptions import InvalidInput
 from dexctl.grasp import is_force_closure
 from dexctl.hand import HandModel
+from dexctl.limits import SetPointLimits
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams
 from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Indices, Phase
 from dexctl.switch.landing import landing_at, split, turned, unit_across
 from dexctl.switch.profile import SwitchProfile, random_contact
-from dexctl.validation import check_numbers
+from dexctl.validation import check_axis, check_kind, check_mask, check_numbers
 
 KINDS = ("profile", "guarded")
 
@@ -37,6 +38,8 @@ class ContactSwitchConfig:
         friction: assumed by the force-closure guard.
         hold_force: normal force to which a placed finger is loaded [N].
         stability_gain: set-point speed per force error while loading [m/(N s)].
+        max_joint_speed: guarded set-points move at most this fast [rad/s].
+        max_lead: guarded set-points stay this close to the measured joints [rad].
     """
 
     kind: str = "profile"
@@ -49,17 +52,26 @@ class ContactSwitchConfig:
     friction: float = 0.8
     hold_force: float = 1.5
     stability_gain: float = 0.025
+    max_joint_speed: float = 2.0
+    max_lead: float = 0.25
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InvalidInput(f"kind is {self.kind!r}; expected one of {', '.join(KINDS)}")
         check_numbers(
             self,
-            positive=("duration", "friction", "hold_force", "stability_gain"),
+            positive=(
+                "duration",
+                "friction",
+                "hold_force",
+                "stability_gain",
+                "max_joint_speed",
+                "max_lead",
+            ),
             not_negative=("swing", "pause"),
         )
-        if np.shape(self.axis) != (3,) or not np.isfinite(self.axis).all() or not any(self.axis):
-            raise InvalidInput(f"axis is {self.axis}; expected three finite numbers, not all zero")
+        check_kind(self, switch=GuardedSwitchConfig)
+        check_axis(self.axis)
 
 
 class ContactSwitch(Controller):
@@ -96,6 +108,7 @@ class ContactSwitch(Controller):
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
+        check_finite(state)
         action, self._diagnostics = self._part.act(state)
         return check_action(action)
 
@@ -128,6 +141,7 @@ class _Guarded:
         self._axis = axis
         self._dt = control_period
         self._switch = GuardedSwitch(hand, axis, config.switch, control_period)
+        self._limits = SetPointLimits(hand, config.max_joint_speed, config.max_lead, control_period)
         self._seed: ArrayLike = 0
         self._streams: Streams | None = None
 
@@ -139,7 +153,7 @@ class _Guarded:
             self._wait = np.zeros(0)
             self._switch.start(0)
             return
-        chosen = np.asarray(mask, bool)
+        chosen = check_mask(mask, self._wait.shape)
         self._switch.clear(chosen)
         self._wait[chosen] = 0.0
         if seed is not None:
@@ -173,6 +187,7 @@ class _Guarded:
 
         action = self._switch.command(state, now, origin, may_lift)
         action += self._force_control(state, now)
+        action = self._limits(state.q, state.q_target, action)
         return action, {
             "finger": self._switch.finger.copy(),
             "phase": self._switch.phase.copy(),
@@ -211,14 +226,15 @@ class _Guarded:
         switch, config = self._switch, self._config
         lead = state.q_target - state.q
         rows = np.flatnonzero(switch.phase == Phase.UNLOAD)
-        own = self._hand.moves[switch.finger[rows]]
+        own = switch.own_joints[switch.finger[rows]]
         change[rows] = np.where(own, np.expm1(-config.switch.yield_rate * self._dt) * lead[rows], 0)
         rows = np.flatnonzero(switch.phase == Phase.LOAD)
         if len(rows):
             finger = switch.finger[rows]
+            touch = state.in_contact[rows, finger]
             error = config.hold_force * switch.max_force[rows, finger]
-            error -= state.contact_force[rows, finger]
-            normal = state.contact_normal[rows, finger]
+            error -= np.where(touch, state.contact_force[rows, finger], 0.0)
+            normal = np.where(touch[:, None], state.contact_normal[rows, finger], 0.0)
             step = config.stability_gain * self._dt * np.maximum(error, 0.0)[:, None] * normal
             change[rows] = switch.tip_motion(rows, now, step)
         return change

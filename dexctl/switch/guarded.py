@@ -92,6 +92,11 @@ class GuardedSwitchConfig:
             ),
             not_negative=("unloaded_force", "place_depth", "touch_force"),
         )
+        if self.time_limit <= self.unload_time:
+            raise InvalidInput(
+                f"time_limit is {self.time_limit} s; expected more than unload_time, "
+                f"{self.unload_time} s, or no finger ever lifts"
+            )
 
 
 class GuardedSwitch:
@@ -117,9 +122,10 @@ class GuardedSwitch:
         self.config = config
         self.axis = axis
         self._dt = control_period
-        own = hand.moves & (hand.moves.sum(axis=0) == 1)
+        self.own_joints: Bools = hand.moves & (hand.moves.sum(axis=0) == 1)
         # a wrist's joints stay out of it: only the finger's own rows of its Jacobian count
-        self._own_rows = np.take_along_axis(own, hand.finger_joints, axis=1)[..., None]
+        own_rows = np.take_along_axis(self.own_joints, hand.finger_joints, axis=1)
+        self._own_rows = own_rows[..., None]
         self._swings = SwingPaths(hand, axis, config.clearance, config.carry_speed)
         self.start(0)
 
@@ -140,6 +146,8 @@ class GuardedSwitch:
         self.phase[mask] = Phase.IDLE
         self.finger[mask] = -1
         self.clock[mask] = 0.0
+        for row in np.flatnonzero(mask) if self._paths else ():
+            self._paths.pop(int(row), None)
 
     @property
     def released(self) -> Bools:
@@ -323,8 +331,11 @@ class GuardedSwitch:
         bump = (phase == Phase.CARRY) & state.in_contact[rows, finger]
         goal[bump] -= config.clearance * state.contact_normal[rows, finger][bump]
         goal[lift] = (self._lift_tip[rows] + config.clearance * self._outward[rows])[lift]
-        deep = self._landing.tip[rows] + config.place_depth * self._landing.normal[rows]
-        goal[place] = deep[place]
+        # along the line of descent, which a carried tip joins from wherever it was let in
+        normal = self._landing.normal[rows]
+        sunk = ((tip - self._landing.tip[rows]) * normal).sum(axis=-1)
+        sunk = np.minimum(sunk + 0.03, config.place_depth)
+        goal[place] = (self._landing.tip[rows] + sunk[:, None] * normal)[place]
         speed = np.where(lift, config.lift_speed, config.carry_speed)
         speed[place] = config.place_speed
 

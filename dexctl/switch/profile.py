@@ -12,6 +12,7 @@ from dexctl.hand import HandModel
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams, StreamsState
 from dexctl.switch.chain import check_vector, joint_roles
+from dexctl.validation import check_mask
 
 Indices = NDArray[np.intp]
 
@@ -136,7 +137,7 @@ class SwitchProfile:
                 self._seed, self._streams = seed, None
             self._finger[...] = -1
             return
-        chosen = np.asarray(mask, bool)
+        chosen = check_mask(mask, np.shape(mask))
         self._match(chosen.shape)
         self._finger[chosen] = -1
         if seed is not None:
