@@ -61,7 +61,7 @@ VARIANTS: dict[str, tuple[str, Change]] = {
 class Options(Settings):
     """Settings of the measurement."""
 
-    trials: int = 32
+    trials: int = 16
     """Per object, palm direction and variant."""
     seconds: float = 60.0
     """Simulated, each trial."""

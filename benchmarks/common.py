@@ -23,6 +23,7 @@ from dexctl.controller import Controller
 from dexctl.report.machine import machine
 from dexctl.rotations import inverse, multiply
 from dexctl.sim import BatchSimulator, Scene, Tactile, Trace, run
+from dexctl.sim.trial import DROP_DISTANCE
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FULL_TURN = 2 * np.pi
@@ -213,7 +214,7 @@ def outcome(trace: Trace, target: float = FULL_TURN) -> dict[str, Any]:
         "reached_and_holding": share(reached & held[-1]),
         "stalled": share(held[-1] & (np.abs(last) < 0.1)),
         "second_before_drop": _before_drop(trace),
-        "diverged": int(trace.diverged[-1].sum()),
+        "broke_down": _broke_down(trace),
         "mean_contacts": _r((trace.in_contact.sum(axis=-1) * held).sum() / held.sum()),
         "touched_by_more_than_fingertips": _r(other.sum() / held.sum()),
     }
@@ -236,6 +237,17 @@ def _before_drop(trace: Trace) -> dict[str, float] | None:
         "height_m": _r(np.median(away[:, 2])),
         "sideways_m": _r(np.median(np.linalg.norm(away[:, :2], axis=-1))),
     }
+
+
+def _broke_down(trace: Trace) -> int:
+    """Trials that ended because the simulation broke down, not because the object fell.
+
+    Later on an object that fell far counts as diverged too.
+    """
+    first = np.minimum(trace.held.sum(axis=0), len(trace.held) - 1)
+    away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
+    index = np.arange(len(first))
+    return int((trace.diverged[first, index] & (away[first, index] <= DROP_DISTANCE)).sum())
 
 
 def percent(part: dict[str, Any]) -> str:

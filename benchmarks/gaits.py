@@ -119,8 +119,15 @@ def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
     return out
 
 
+def in_order(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows as an uninterrupted run has them."""
+    places = list(product((*EASY, *HARDER), PALMS, GAITS.values()))
+    return sorted(rows, key=lambda row: places.index((row["object"], row["palm"], row["gait"])))
+
+
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the rows so far."""
+    rows = in_order(rows)
     figures, table = figures_of(rows, given.seconds), table_of(rows, given)
     write("gaits", given, figures, [table], trials=rows, say=say)
 

@@ -71,7 +71,7 @@ CONDITIONS: dict[str, Condition] = {
         tracked=False,
     ),
 }
-SCENES = (("cylinder", "up"), ("cylinder", "down"), ("cube", "up"), ("cube", "down"))
+SCENES = (("cylinder", "up"), ("cube", "down"))
 
 
 @dataclass(frozen=True, kw_only=True)
