@@ -84,7 +84,8 @@ class CoordinatedGait(Controller):
     for its centre.
 
     Args:
-        hand: the hand; four fingers or more to gait with.
+        hand: the hand. Five fingers gait well; with four, a `least_travel` beyond reach turns
+            the object as far as it goes without lifting one, and holds it there.
         config: the settings; keyword arguments change single ones.
         control_period: [s].
     """

@@ -39,8 +39,9 @@ class FingerGaiting(Controller):
     """psi_FG = psi_IGM + psi_CS (thesis chapter 4): one random finger after the other switches.
 
     The finger that switches follows a fixed velocity profile; in-grasp manipulation turns the
-    object with the others. Nothing coordinates the two, so the object is dropped within seconds:
-    it is a prior for learning, not a way to hold things (`CoordinatedGait` is).
+    object with the others. Nothing coordinates the two, so it gets no further than in-grasp
+    manipulation does and may drop the object: it is a prior for learning, not a way to turn things
+    (`CoordinatedGait` is).
 
     Args:
         hand: the hand; every finger needs three joints of its own.

@@ -42,7 +42,7 @@ class GraspForces(NamedTuple):
         feasible: ``(...)`` bool; whether the forces balance the wrench.
         violation: ``(...)`` [N], norm of the wrench left unbalanced, torques divided by the
             length: the least that any allowed forces leave.
-        torques: ``(..., d)`` [N m], joint torques J^T f that press the fingertips on the object
+        torques: ``(..., d)`` [N m], joint torques ``J^T f`` that press the fingertips on the object
             with these forces; None without a Jacobian.
     """
 
@@ -86,7 +86,7 @@ def grasp_forces(
             object, gravity for one: (0, 0, -m g, 0, 0, 0) about the centre of mass.
         model: "hard" or "soft".
         jacobian: contact Jacobians ``(..., m, 3, d)``, from ``HandModel.contact_jacobian``.
-        effort: joint torque limits ``(d,)`` [N m], |J^T f| <= effort; needs the Jacobian. Only
+        effort: joint torque limits ``(d,)`` [N m], ``|J^T f| <= effort``; needs the Jacobian. Only
             the forces count, not the torques of soft fingers, nor the weight of the fingers.
         max_normal: greatest normal force of a finger [N]; None: no limit.
         edges: edges of the pyramids inscribed in the cones.
