@@ -7,26 +7,31 @@ itself; it imports neither torch nor MuJoCo:
 
     env = gymnasium.make("dexctl/FingerGaiting-v0", hand="dex5", object="cube")
     envs = gymnasium.make_vec("dexctl/FingerGaiting-v0", num_envs=64, object="cylinder")
+
+`load_policy` and what it loads need no more than the core install, gymnasium included.
 """
 
 from __future__ import annotations
 
-from dexctl.exceptions import MissingExtra
-
-try:
-    import gymnasium
-except ImportError:
-    raise MissingExtra("learning", "learning") from None
+from importlib.util import find_spec
 
 from learning.policy import Policy, load_policy, save_policy
 
 FINGER_GAITING = "dexctl/FingerGaiting-v0"
 
-if FINGER_GAITING not in gymnasium.registry:
-    gymnasium.register(
-        FINGER_GAITING,
-        entry_point="learning.envs.single:FingerGaitingEnv",
-        vector_entry_point="learning.envs.vector:make_from_options",
-    )
-
 __all__ = ["FINGER_GAITING", "Policy", "load_policy", "save_policy"]
+
+
+def _register() -> None:
+    import gymnasium
+
+    if FINGER_GAITING not in gymnasium.registry:
+        gymnasium.register(
+            FINGER_GAITING,
+            entry_point="learning.envs.single:FingerGaitingEnv",
+            vector_entry_point="learning.envs.vector:make_from_options",
+        )
+
+
+if find_spec("gymnasium") is not None:
+    _register()

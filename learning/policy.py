@@ -78,7 +78,7 @@ class PolicySpec(NamedTuple):
         config: EnvConfig,
         activation: str = "relu",
     ) -> PolicySpec:
-        """The specification of a policy trained in environments of ``config``."""
+        """The specification of a policy that is trained in environments of ``config``."""
         return cls(
             config.hand,
             tuple(hand.joint_names),
@@ -192,8 +192,9 @@ def save_policy(
         **(card or {}),
     }
     text = json.dumps(described, indent=2)
-    arrays = {f"weight_{i}": layer.weight for i, layer in enumerate(checked)}
-    arrays |= {f"bias_{i}": layer.bias for i, layer in enumerate(checked)}
+    arrays: dict[str, Any] = {}
+    for i, layer in enumerate(checked):
+        arrays |= {f"weight_{i}": layer.weight, f"bias_{i}": layer.bias}
     with aside(path) as part, part.open("wb") as stream:
         np.savez(stream, card=np.array(text), **arrays)
     write_text(path.with_suffix(".json"), text + "\n")

@@ -81,7 +81,7 @@ class FingerGaitingEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         single = {name: value[0] for name, value in info.items() if "final_obs" not in name}
         return observations[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), single
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """A picture ``(height, width, 3)`` ("rgb_array"), or the window."""
         pictures = self.batch.render()
         return None if pictures is None else pictures[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import gymnasium
@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
-from dexctl.rotations import inverse, multiply
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams, StreamsState
 from learning.envs import reward as rewards
 from learning.envs.action import SetPointAction, check_action
+from learning.envs.batches import merged, random_seed, spread_seeds
 from learning.envs.config import EnvConfig
+from learning.envs.episode import Episodes
 from learning.envs.initial_states import InitialStates, StateSampler
 from learning.envs.noise import observed
 from learning.envs.observation import Observation
@@ -38,7 +39,7 @@ class EnvState:
     state: GraspState
     noise: StreamsState
     draws: StreamsState
-    episode: dict[str, np.ndarray]
+    episodes: dict[str, np.ndarray]
     diverged_count: int
 
 
@@ -92,7 +93,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self.config = config if config is not None else EnvConfig()
         self.num_envs = check_count(self.config, num_envs)
         self.render_mode = render_mode
-        first = _random_seed() if seed is None else seed
+        first = random_seed() if seed is None else seed
         self.sim = build_simulator(self.config, num_envs, first)
         self.hand: HandModel = self.sim.hand
         self.objects = self.sim.objects
@@ -131,13 +132,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self._renderer: Renderer | None = None
         self.diverged_count = 0
         self._state = self.sim.read()
-        self._episode = {
-            "length": np.zeros(num_envs, np.int64),
-            "return": np.zeros(num_envs),
-            "rotation": np.zeros(num_envs),
-            "angle": np.zeros(num_envs),
-            "start": np.zeros((num_envs, 4)),
-        }
+        self._episodes = Episodes(num_envs, self._axis)
         self._begin(np.ones(num_envs, bool), None)
 
     @property
@@ -153,7 +148,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         """The actions in [-1, 1] that ask for set-point changes ``(..., d)`` [rad]."""
         return self.action.from_change(change)
 
-    def reset(  # type: ignore[override]
+    def reset(
         self,
         *,
         seed: ArrayLike | None = None,
@@ -182,7 +177,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self._begin(chosen, seed)
         return self._observe(chosen), {}
 
-    def step(  # type: ignore[override]
+    def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], Floats, Bools, Bools, dict[str, Any]]:
         """One control step of every environment.
@@ -213,7 +208,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self._state = after
         result, info = self._judge(diverged)
         terminated = info["dropped"] | diverged
-        truncated = (self._episode["length"] >= self.config.episode_steps) & ~terminated
+        truncated = (self._episodes.length >= self.config.episode_steps) & ~terminated
         done = terminated | truncated
         observations = self._observe(None)
         info |= {"done": done, "final_obs": observations, "_final_obs": done}
@@ -226,7 +221,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
 
     def _judge(self, diverged: Bools) -> tuple[Floats, dict[str, Any]]:
         """Rewards, and what the step and the episode came to."""
-        config, state, episode = self.config, self._state, self._episode
+        config, state, episodes = self.config, self._state, self._episodes
         position, quaternion = state.object_position, state.object_quaternion
         assert position is not None
         assert quaternion is not None
@@ -238,12 +233,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         )
         result = rewards.reward(turning, config.max_reward, config.max_tilt, config.min_fingertips)
         away = np.linalg.norm(position - self.sim.start_position, axis=-1)
-        relative = multiply(quaternion, inverse(episode["start"]))
-        angle = rewards.twist_angle(relative, self._axis)
-        episode["rotation"] += rewards.shortest(angle - episode["angle"])
-        episode["angle"] = angle
-        episode["length"] += 1
-        episode["return"] += result
+        episodes.add(result, quaternion)
         return result, {
             "dropped": (away > config.drop_distance) & ~diverged,
             "diverged": diverged,
@@ -251,15 +241,15 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
             "tilt": turning.tilt,
             "fingertips": turning.fingertips,
             "fingertips_only": turning.fingertips_only,
-            "rotation": episode["rotation"].copy(),
-            "episode_return": episode["return"].copy(),
-            "episode_length": episode["length"].copy(),
+            "rotation": episodes.rotation.copy(),
+            "episode_return": episodes.returns.copy(),
+            "episode_length": episodes.length.copy(),
         }
 
     def _begin(self, chosen: Bools, seed: ArrayLike | None) -> None:
         """New episodes in the environments chosen."""
         if seed is not None:
-            seeds = _seeds(seed, self.num_envs)
+            seeds = spread_seeds(seed, self.num_envs)
             self._noise.reseed(seeds + _NOISE_SEED, chosen)
             self._draws.reseed(seeds + _DRAW_SEED, chosen)
             self.sim.reset(seeds, chosen)
@@ -270,9 +260,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         fresh = self.sim.read()
         self._state = merged(chosen, fresh, self._state)
         assert fresh.object_quaternion is not None
-        self._episode["start"][chosen] = fresh.object_quaternion[chosen]
-        for name in ("length", "return", "rotation", "angle"):
-            self._episode[name][chosen] = 0
+        self._episodes.begin(chosen, fresh.object_quaternion)
 
     def _place(self, sampler: StateSampler, chosen: Bools) -> None:
         """Put the environments chosen into states of the file."""
@@ -297,7 +285,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
             state=self._state,
             noise=self._noise.save(),
             draws=self._draws.save(),
-            episode={name: value.copy() for name, value in self._episode.items()},
+            episodes=self._episodes.save(),
             diverged_count=self.diverged_count,
         )
 
@@ -311,10 +299,10 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self._state = saved.state
         self._noise.restore(saved.noise)
         self._draws.restore(saved.draws)
-        self._episode = {name: value.copy() for name, value in saved.episode.items()}
+        self._episodes.restore(saved.episodes)
         self.diverged_count = saved.diverged_count
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Pictures of the first environment of each object ("rgb_array"), or the window."""
         if self.render_mode is None:
             return None
@@ -366,24 +354,3 @@ def config_from(options: Mapping[str, Any]) -> EnvConfig:
         if name not in known:
             raise UnknownName("option", name, known)
     return EnvConfig(**options)
-
-
-def merged(chosen: Bools, state: GraspState, other: GraspState) -> GraspState:
-    """``state`` in the environments chosen ``(N,)``, ``other`` elsewhere."""
-    if chosen.all():
-        return state
-    values = {}
-    for field in fields(GraspState):
-        a, b = np.asarray(getattr(state, field.name)), np.asarray(getattr(other, field.name))
-        values[field.name] = np.where(chosen.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
-    return replace(state, **values)
-
-
-def _seeds(seed: ArrayLike, count: int) -> np.ndarray:
-    """The seed of each environment, as Python's integers, which do not overflow."""
-    seeds = np.asarray(seed, object)
-    return seeds + np.arange(count).astype(object) if seeds.ndim == 0 else seeds
-
-
-def _random_seed() -> int:
-    return int(np.random.SeedSequence().generate_state(1)[0])
