@@ -1,5 +1,12 @@
 """Who acts while an agent explores: its policy or a controller."""
 
+from learning.exploration.guide import (
+    METHODS,
+    GuidanceConfig,
+    Guide,
+    Guided,
+    commitment,
+)
 from learning.exploration.mixture import (
     POLICY,
     Segments,
@@ -10,9 +17,14 @@ from learning.exploration.mixture import (
 )
 
 __all__ = [
+    "METHODS",
     "POLICY",
+    "GuidanceConfig",
+    "Guide",
+    "Guided",
     "Segments",
     "advance",
+    "commitment",
     "fixed_probabilities",
     "linear_decay",
     "value_probabilities",

@@ -72,7 +72,8 @@ def test_fixed_schedule() -> None:
 
 
 def test_linear_decay() -> None:
-    assert [linear_decay(step, 0.8, 100) for step in (0, 25, 100, 250)] == [0.8, 0.6, 0.0, 0.0]
+    found = [linear_decay(step, 0.8, 100) for step in (0, 25, 100, 250)]
+    assert found == pytest.approx([0.8, 0.6, 0.0, 0.0])
     assert linear_decay(0, 0.8, 0) == 0.0
 
 
