@@ -11,6 +11,7 @@ import numpy as np
 from dexctl import hands
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.validation import check_numbers
+from learning.envs.noise import SensorNoise
 from learning.envs.observation import DEFAULT_PARTS, check_parts
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -133,10 +134,14 @@ class EnvConfig:
         return float(x), float(y), float(z)
 
     @property
-    def noisy(self) -> bool:
-        """Whether observations differ from the truth."""
-        noises = (self.joint_noise, self.position_noise, self.normal_noise, self.force_noise)
-        return max(noises) > 0
+    def noise(self) -> SensorNoise:
+        """Of the observation."""
+        return SensorNoise(
+            joint=self.joint_noise,
+            position=self.position_noise,
+            normal=self.normal_noise,
+            force=self.force_noise,
+        )
 
     @property
     def max_change(self) -> float:

@@ -127,6 +127,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
             ]
         )
         self._sampler = self._make_sampler()
+        self._sensor_noise = self.config.noise
         self._noise = Streams(first + _NOISE_SEED, (num_envs,))
         self._draws = Streams(first + _DRAW_SEED, (num_envs,))
         self._renderer: Renderer | None = None
@@ -276,7 +277,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         )
 
     def _observe(self, mask: Bools | None) -> NDArray[np.float32]:
-        return self.observation(observed(self._state, self.config, self._noise, mask))
+        return self.observation(observed(self._state, self._sensor_noise, self._noise, mask))
 
     def save(self) -> EnvState:
         """All that decides the future, to be given to :meth:`restore`."""

@@ -22,7 +22,7 @@ from learning.envs import (
     SetPointAction,
     make_vector,
 )
-from learning.envs.noise import observed
+from learning.envs.noise import SensorNoise, observed
 from learning.envs.simulation import shares
 
 
@@ -107,8 +107,8 @@ def test_observations_stay_in_their_space() -> None:
 def test_noise_has_the_size_asked_for(state: dexctl.GraspState) -> None:
     count = 4000
     many = state[np.zeros(count, int)]
-    config = EnvConfig(joint_noise=0.1, position_noise=0.01, normal_noise=0.02, force_noise=0.2)
-    seen = observed(many, config, Streams(0, (count,)))
+    noise = SensorNoise(joint=0.1, position=0.01, normal=0.02, force=0.2)
+    seen = observed(many, noise, Streams(0, (count,)))
     assert (seen.q - many.q).std() == pytest.approx(0.1, rel=0.03)
     np.testing.assert_array_equal(seen.q_target, many.q_target)
     offset = (seen.contact_position - many.contact_position)[:, :4]
@@ -118,7 +118,7 @@ def test_noise_has_the_size_asked_for(state: dexctl.GraspState) -> None:
     assert seen.contact_normal[:, :4, 0].std() == pytest.approx(0.02, rel=0.03)
     for array in (seen.contact_position, seen.contact_normal, seen.contact_force):
         np.testing.assert_array_equal(array[:, 4], 0.0)
-    assert observed(many, EnvConfig(), Streams(0, (count,))) is many
+    assert observed(many, SensorNoise(), Streams(0, (count,))) is many
 
 
 def test_controllers_see_the_truth() -> None:
