@@ -111,7 +111,7 @@ class RunLog:
         self._csv = csv.DictWriter(self._file, COLUMNS, restval="", lineterminator="\n")
         self._board = SummaryWriter(
             str(folder / TENSORBOARD_FOLDER),
-            purge_step=None if resume_at is None else resume_at + 1,
+            purge_step=0 if resume_at is None else resume_at + 1,
         )
 
     def _rows_until(self, step: int) -> list[dict[str, str]]:

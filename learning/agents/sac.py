@@ -50,6 +50,8 @@ class GuidedSAC(GuidedExploration, SAC):
         sums = {name: torch.zeros((), device=self.device) for name in names}
         for _ in range(gradient_steps):
             batch = self.replay_buffer.sample(batch_size)
+            mean, log_std, _ = self.actor.get_action_dist_params(batch.observations)
+            action, log_prob = squashed_sample(mean, log_std, bool(entropy_weight))
             with torch.no_grad():
                 next_action, next_log_prob = self._draw(batch.next_observations, entropy_weight)
                 target = torch.cat(self.critic_target(batch.next_observations, next_action), dim=1)
@@ -64,8 +66,6 @@ class GuidedSAC(GuidedExploration, SAC):
             self.critic.optimizer.step()
 
             with frozen(self.critic):
-                mean, log_std, _ = self.actor.get_action_dist_params(batch.observations)
-                action, log_prob = _squashed(mean, log_std, bool(entropy_weight))
                 value = torch.cat(self.critic(batch.observations, action), dim=1)
                 actor_loss = (
                     entropy_weight * log_prob - value.min(dim=1, keepdim=True).values
@@ -93,10 +93,10 @@ class GuidedSAC(GuidedExploration, SAC):
         self, observation: torch.Tensor, entropy_weight: float
     ) -> tuple[torch.Tensor, torch.Tensor | float]:
         mean, log_std, _ = self.actor.get_action_dist_params(observation)
-        return _squashed(mean, log_std, bool(entropy_weight))
+        return squashed_sample(mean, log_std, bool(entropy_weight))
 
 
-def _squashed(
+def squashed_sample(
     mean: torch.Tensor, log_std: torch.Tensor, with_log_prob: bool
 ) -> tuple[torch.Tensor, torch.Tensor | float]:
     """Drawn actions a = tanh(u), and their log probability ``(B, 1)`` or 0 where not asked for."""

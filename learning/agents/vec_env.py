@@ -36,15 +36,6 @@ class StableBaselinesVecEnv(VecEnv):
         self.ended = np.zeros(0, np.int64)
         self._actions = np.zeros((env.num_envs, *env.single_action_space.shape))
 
-    @property
-    def render_mode(self) -> str | None:
-        """As the environment's."""
-        return getattr(self.env, "render_mode", None)
-
-    @render_mode.setter
-    def render_mode(self, value: str | None) -> None:
-        """stable-baselines3 sets it to what it has just read."""
-
     def reset(self) -> np.ndarray:
         """The first observations ``(N, k)`` of new episodes; a seed given before is used once."""
         seeds = [seed for seed in self._seeds if seed is not None]
