@@ -150,7 +150,7 @@ class Evaluate:
             soft_wrap=True,
         )
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        for heading in ("object", "noise", "rotation [rad]", "revolutions", "speed [rad/s]",
+        for heading in ("object", "noise", "rotation, rad", "revolutions", "speed, rad/s",
                         "dropped", "return"):  # fmt: skip
             table.add_column(heading)
         for one in found:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -26,6 +27,8 @@ from learning.envs.noise import observed
 from learning.envs.observation import Observation
 from learning.envs.rendering import RENDER_MODES, Renderer
 from learning.envs.simulation import build_simulator, check_count
+
+_LOG = logging.getLogger(__name__)
 
 # The streams of one environment must not repeat each other; the simulator's takes the seed itself.
 _NOISE_SEED, _DRAW_SEED = 1 << 40, 1 << 41
@@ -202,7 +205,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self.sim.write(before.q_target + self.action.limited(before, wanted))
         self.sim.step()
         diverged = self.sim.diverged
-        self.diverged_count += int((diverged & ~broken).sum())
+        self._count_diverged(diverged & ~broken)
         after = self.sim.read()
         if diverged.any():  # the last finite state, its touch included
             after = merged(diverged, before, after)
@@ -219,6 +222,15 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         if self.render_mode == "human":
             self.render()
         return observations, result, terminated, truncated, info
+
+    def _count_diverged(self, new: Bools) -> None:
+        if new.any():
+            self.diverged_count += int(new.sum())
+            _LOG.warning(
+                "simulation broken down in environments %s; their episodes end (%d so far)",
+                np.flatnonzero(new)[:8].tolist(),
+                self.diverged_count,
+            )
 
     def _judge(self, diverged: Bools) -> tuple[Floats, dict[str, Any]]:
         """Rewards, and what the step and the episode came to."""

@@ -175,7 +175,9 @@ def test_restored_environments_go_on_with_the_same_bits(wiggle: np.ndarray) -> N
         make_vector(config, 3, seed=0).restore(envs.save())
 
 
-def test_diverged_physics_ends_the_episode_with_its_last_finite_state(in_scratch: Path) -> None:
+def test_diverged_physics_ends_the_episode_with_its_last_finite_state(
+    in_scratch: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     envs = make_vector(SHORT, 2, seed=0)
     envs.step(np.zeros((2, 15)))
     before = envs.observation(envs.state)
@@ -193,8 +195,39 @@ def test_diverged_physics_ends_the_episode_with_its_last_finite_state(in_scratch
     np.testing.assert_array_equal(info["final_obs"][1], before[1])
     assert rewards[1] == 0.0
     assert envs.diverged_count == 1
+    assert "broken down in environments [1]" in caplog.text
     assert np.isfinite(observations).all()
     assert envs.state[1].time == 0.0
+
+
+def test_wild_actions_give_numbers_all_the_same() -> None:
+    config = EnvConfig(object=("cube", "sphere"), max_speed=20.0, max_lead=3.0, threads=2)
+    envs = make_vector(config, 16, seed=0)
+    rng = np.random.default_rng(0)
+    ended = 0
+    for _ in range(60):
+        observations, rewards, _, _, info = envs.step(rng.choice([-1.0, 1.0], (16, 15)))
+        assert np.isfinite(observations).all()
+        assert np.isfinite(info["final_obs"]).all()
+        assert np.isfinite(rewards).all()
+        assert (rewards <= 0.5).all()
+        ended += int(info["done"].sum())
+    assert ended > 16
+
+
+def test_gymnasium_wrappers_take_the_batch() -> None:
+    envs = gymnasium.make_vec(learning.FINGER_GAITING, num_envs=2, object="cylinder",
+                              episode_steps=3, threads=1)  # fmt: skip
+    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
+    envs.reset(seed=0)
+    total = np.zeros(2)
+    for _ in range(3):
+        _, rewards, _, truncated, info = envs.step(np.zeros((2, 15), np.float32))
+        total += rewards
+    assert truncated.all()
+    np.testing.assert_allclose(info["episode"]["r"], total, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(info["episode_return"], total)
+    envs.close()
 
 
 def test_importing_learning_is_cheap() -> None:

@@ -52,6 +52,7 @@ def test_a_controller_in_its_place(capsys: pytest.CaptureFixture[str]) -> None:
     assert "2 episodes of 0.1 s" in table
     assert table.count("cube") == 17
     assert "joint 0.1" in table
+    assert "rad" in table
 
 
 def test_bad_input(tmp_path: Path) -> None:
