@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dexctl.exceptions import InvalidInput
 from dexctl.state import Bools, GraspState
 
 
@@ -22,9 +23,17 @@ def merged(chosen: Bools, state: GraspState, other: GraspState) -> GraspState:
 
 
 def spread_seeds(seed: ArrayLike, count: int) -> np.ndarray:
-    """The seed of each environment, as Python's integers, which do not overflow."""
+    """The seed of each environment, ``(count,)`` of Python's integers, which do not overflow.
+
+    Raises:
+        InvalidInput: neither an integer nor one for each environment.
+    """
     seeds = np.asarray(seed, object)
-    return seeds + np.arange(count).astype(object) if seeds.ndim == 0 else seeds
+    whole = all(isinstance(one, (int, np.integer)) for one in seeds.flat)
+    if not whole or seeds.shape not in ((), (count,)):
+        raise InvalidInput(f"seed is {seed!r}; expected an integer, or {count} of them")
+    numbers = np.array([int(one) for one in seeds.flat], object)
+    return numbers[0] + np.arange(count).astype(object) if seeds.ndim == 0 else numbers
 
 
 def random_seed() -> int:

@@ -96,7 +96,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self.config = config if config is not None else EnvConfig()
         self.num_envs = check_count(self.config, num_envs)
         self.render_mode = render_mode
-        first = random_seed() if seed is None else seed
+        first = random_seed() if seed is None else int(spread_seeds(seed, 1)[0])
         self.sim = build_simulator(self.config, num_envs, first)
         self.hand: HandModel = self.sim.hand
         self.objects = self.sim.objects

@@ -249,6 +249,11 @@ def test_bad_input() -> None:
         envs.step(bad)
     with pytest.raises(InvalidInput, match="mask has shape"):
         envs.reset(mask=[True])
+    for seed in (1.5, "a", [1, 2, 3]):
+        with pytest.raises(InvalidInput, match="seed is .*; expected an integer, or 2 of them"):
+            envs.reset(seed=seed)
+    with pytest.raises(InvalidInput, match=r"seed is 0\.5"):
+        make_vector(SHORT, 2, seed=0.5)  # pyright: ignore[reportArgumentType]
     with pytest.raises(UnknownName, match="unknown object 'brick'; known: cube"):
         make_vector(EnvConfig(object="brick"), 1)
     with pytest.raises(UnknownName, match="unknown hand 'foot'"):
