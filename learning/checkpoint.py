@@ -16,7 +16,7 @@ import os
 import pickle
 import random
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import torch
@@ -41,9 +41,11 @@ def write(folder: Path, content: dict[str, Any]) -> Path:
         CheckpointError: it cannot be written (a full disk, for one); the one before is left.
     """
     path, partial = folder / NAME, folder / PARTIAL
+    writer = None
     try:
         with partial.open("wb") as file:
-            torch.save({"format": FORMAT, **content}, file)
+            writer = _Writer(file)
+            torch.save({"format": FORMAT, **content}, writer)  # type: ignore[arg-type]
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
@@ -51,10 +53,29 @@ def write(folder: Path, content: dict[str, Any]) -> Path:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
         kept = "the one before is kept" if path.exists() else "there is none before it"
-        reason = str(error).partition("\n")[0]
+        cause = (writer and writer.failure) or error
+        reason = getattr(cause, "strerror", None) or str(cause).partition("\n")[0]
         raise CheckpointError(f"cannot write {path}: {reason}; {kept}") from error
     _sync(folder)
     return path
+
+
+class _Writer:
+    """A file that remembers why writing failed, which torch does not tell."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.failure: OSError | None = None
+
+    def write(self, data: bytes) -> int:
+        try:
+            return self._file.write(data)
+        except OSError as error:
+            self.failure = error
+            raise
+
+    def flush(self) -> None:
+        self._file.flush()
 
 
 def read(folder: Path) -> dict[str, Any]:

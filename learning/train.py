@@ -228,13 +228,16 @@ class _Keeper(BaseCallback):
             try:
                 self.save()
             except (checkpoint.CheckpointError, OSError) as error:  # go on: nothing is lost yet
-                if self.remark is not None:
-                    self.remark(str(error))
+                self._say(str(error))
         if self.report is not None:
             self.report(step, self.row)
         if self.stop:
             self.save()
             raise KeyboardInterrupt
+
+    def _say(self, text: str) -> None:
+        if self.remark is not None:
+            self.remark(text)
 
     def finish(self) -> None:
         """The last row, checkpoint and policy."""
@@ -258,7 +261,10 @@ class _Keeper(BaseCallback):
             "beta": guide.beta(agent.num_timesteps),
             "seconds": self.seconds,
         }
-        self.log.write(self.row)
+        try:
+            self.log.write(self.row)
+        except OSError as error:  # a full disk; the row is kept and written with the next one
+            self._say(f"cannot write {self.log.path}: {error.strerror}")
         self._next_log = _next(agent.num_timesteps, self.config.log_every)
 
     @property

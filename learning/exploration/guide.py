@@ -250,7 +250,7 @@ class Guide:
 
 
 UNSTATED_HORIZON = 40
-"""Steps for controllers that state no length: at 20 Hz, a whole switch of the coordinated gait."""
+"""Steps for controllers that state no length; a switch of the coordinated gait takes 28 to 34."""
 
 
 def commitment(controller: Controller) -> int | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -86,6 +87,7 @@ def test_full_disk_in_mid_write_keeps_the_one_before(tmp_path: Path) -> None:
         check=True,
     )
     (line,) = done.stdout.splitlines()
-    assert line.startswith("cannot write") and line.endswith("the one before is kept")
+    assert line.startswith("cannot write")
+    assert line.endswith(f"{os.strerror(errno.EFBIG)}; the one before is kept")
     assert checkpoint.read(tmp_path)["a"] == 1
     assert [path.name for path in tmp_path.iterdir()] == [checkpoint.NAME]

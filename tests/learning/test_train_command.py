@@ -6,6 +6,8 @@ import csv
 import json
 import os
 import signal
+import tomllib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,12 @@ SMALL = (
     "--num-envs", "4", "--steps", "200", "--network", "16", "16", "--batch-size", "16",
     "--learning-starts", "40", "--buffer-size", "100", "--log-every", "100", "--device", "cpu",
 )  # fmt: skip
+
+
+def test_it_is_found_by_name() -> None:
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    points = tomllib.loads(text)["project"]["entry-points"]["dexctl.commands"]
+    assert EntryPoint("train", points["train"], "dexctl.commands").load() is Train
 
 
 def command(*arguments: str) -> Train:
