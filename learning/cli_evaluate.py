@@ -43,7 +43,7 @@ class Evaluate:
     seed: int = 0
     """Seed of the first episode; episode i has seed + i."""
     robustness: bool = False
-    """Once more for each kind and level of sensor noise (16 of them)."""
+    """Once more for each kind and level of sensor noise, and of push on the object (20 of them)."""
     out: Path | None = None
     """Folder for evaluate.json and episodes.csv."""
     json: bool = False
@@ -133,7 +133,12 @@ class Evaluate:
             "control_period_s": controller.control_period,
             "seeds": [self.seed, self.seed + self.episodes - 1],
             "results": [
-                {"object": one.object, "noise": asdict(one.protocol.noise), **one.to_dict()}
+                {
+                    "object": one.object,
+                    "noise": asdict(one.protocol.noise),
+                    "push_N": one.protocol.push.force,
+                    **one.to_dict(),
+                }
                 for one in found
             ],
             "machine": machine(),
@@ -150,7 +155,7 @@ class Evaluate:
             soft_wrap=True,
         )
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        for heading in ("object", "noise", "rotation, rad", "revolutions", "speed, rad/s",
+        for heading in ("object", "disturbed", "rotation, rad", "revolutions", "speed, rad/s",
                         "dropped", "return"):  # fmt: skip
             table.add_column(heading)
         for one in found:
@@ -178,4 +183,5 @@ def _interval(one: Estimate, factor: float = 1.0, digits: int = 2, unit: str = "
 def _noise(one: Evaluation) -> str:
     noise = one.protocol.noise
     named = {kind: getattr(noise, kind) for kind in noise.__dataclass_fields__}
+    named["push"] = one.protocol.push.force
     return ", ".join(f"{kind} {value:g}" for kind, value in named.items() if value) or "none"

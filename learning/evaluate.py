@@ -24,6 +24,7 @@ from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams
 from learning.envs import reward as rewards
 from learning.envs.noise import SensorNoise, observed
+from learning.envs.pushes import Push, Pusher
 from learning.files import aside
 from learning.statistics import Estimate, bootstrap, wilson
 
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
     from dexctl.sim import Scene, Trace
 
 FULL_TURN = 2.0 * np.pi
-_NOISE_SEED = 1 << 42  # a stream of its own, beside the simulator's and the controller's
+# streams of their own, beside the simulator's and the controller's
+_NOISE_SEED, _PUSH_SEED = 1 << 42, 1 << 43
 
 # The levels of `robustness`: what the thesis's figure goes up to, in four steps.
 LEVELS: Mapping[str, tuple[float, ...]] = {
@@ -39,6 +41,7 @@ LEVELS: Mapping[str, tuple[float, ...]] = {
     "position": (0.0025, 0.005, 0.0075, 0.01),  # [m]
     "normal": (0.125, 0.25, 0.375, 0.5),
     "force": (0.125, 0.25, 0.375, 0.5),
+    "push": (0.5, 1.0, 1.5, 2.0),  # [N], on the object
 }
 
 
@@ -52,6 +55,7 @@ class Protocol:
         seed: of the first.
         gravity: "up" (the palm looks up), "down", or a vector [m/s^2].
         noise: of the sensors; what the policy sees, while the figures are of what is.
+        push: forces on the object.
         substeps: physics steps in a control period.
         threads: of the physics; None is every core.
 
@@ -64,6 +68,7 @@ class Protocol:
     seed: int = 0
     gravity: str | tuple[float, ...] = "up"
     noise: SensorNoise = SensorNoise()  # noqa: RUF009 (frozen)
+    push: Push = Push()  # noqa: RUF009 (frozen)
     substeps: int = 10
     threads: int | None = None
 
@@ -184,7 +189,22 @@ def evaluate(
         seed=protocol.seed,
     ) as sim:
         controller.reset(protocol.seed)
-        trace = run(controller, sim, protocol.seconds, progress=progress)
+        pusher = Pusher(
+            protocol.push,
+            Streams(protocol.seed + _PUSH_SEED, (protocol.episodes,)),
+            controller.control_period,
+        )
+
+        def push(now: BatchSimulator) -> None:
+            now.push(pusher(np.round(now.time / now.control_period).astype(int)))
+
+        trace = run(
+            controller,
+            sim,
+            protocol.seconds,
+            record=push if protocol.push else None,
+            progress=progress,
+        )
     return Evaluation(
         object=object,
         protocol=protocol,
@@ -221,28 +241,31 @@ def robustness(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Evaluation]:
-    """Evaluations without noise, then with each kind of noise at each level.
+    """Evaluations undisturbed, then with each kind of disturbance at each level.
 
     Args:
-        controller, object, protocol: as `evaluate`'s; the protocol's own noise is replaced.
-        levels: by field of `SensorNoise`.
+        controller, object, protocol: as `evaluate`'s; the protocol's own noise and push are
+            replaced.
+        levels: by field of `SensorNoise`, and "push" for the force on the object.
         progress: called after each evaluation with how many are done, and of how many.
 
     Raises:
-        UnknownName: no such kind of noise.
+        UnknownName: no such kind of disturbance.
     """
-    kinds = list(SensorNoise.__dataclass_fields__)
-    for kind in levels:
+    kinds = [*SensorNoise.__dataclass_fields__, "push"]
+    base = replace(protocol or Protocol(), noise=SensorNoise(), push=Push())
+    protocols = [base]
+    for kind, row in levels.items():
         if kind not in kinds:
-            raise UnknownName("noise", kind, kinds)
-    base = protocol if protocol is not None else Protocol()
-    noises = [SensorNoise()]
-    noises += [SensorNoise(**{kind: level}) for kind, row in levels.items() for level in row]
+            raise UnknownName("disturbance", kind, kinds)
+        for level in row:
+            changed = Push(force=level) if kind == "push" else SensorNoise(**{kind: level})
+            protocols.append(replace(base, **{"push" if kind == "push" else "noise": changed}))
     found = []
-    for noise in noises:
-        found.append(evaluate(controller, object, replace(base, noise=noise)))
+    for one in protocols:
+        found.append(evaluate(controller, object, one))
         if progress is not None:
-            progress(len(found), len(noises))
+            progress(len(found), len(protocols))
     return found
 
 
@@ -251,12 +274,12 @@ def write_csv(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
     with aside(Path(path)) as part, part.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         noise = list(SensorNoise.__dataclass_fields__)
-        writer.writerow(
-            ["object", *(f"{kind}_noise" for kind in noise), "seed", "rotation_rad", "time_held_s",
-             "dropped", "diverged", "return"]
-        )  # fmt: skip
+        outcome = ["rotation_rad", "time_held_s", "dropped", "diverged", "return"]
+        names = [*(f"{kind}_noise" for kind in noise), "push_force_N", "seed", *outcome]
+        writer.writerow(["object", *names])
         for one in evaluations:
             sigma = [getattr(one.protocol.noise, kind) for kind in noise]
+            sigma.append(one.protocol.push.force)
             columns = (one.rotation, one.time_held, one.dropped, one.diverged, one.returns)
             for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
                 writer.writerow([one.object, *sigma, one.protocol.seed + i, *row])

@@ -13,6 +13,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.validation import check_numbers
 from learning.envs.noise import SensorNoise
 from learning.envs.observation import DEFAULT_PARTS, check_parts
+from learning.envs.pushes import Push
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -48,6 +49,8 @@ class EnvConfig:
         position_noise: of each observed contact coordinate [m].
         normal_noise: of each coordinate of observed unit normals, before they are made unit again.
         force_noise: of observed forces, as a share of the force.
+        push_force: size of the force that pulls at the object [N]; see `learning.envs.pushes`.
+        push_seconds: how long it pulls into one direction [s].
         initial_states: file of states that episodes start from (`InitialStates`); None is the
             settled grasp.
         threads: of the physics; None is every core.
@@ -78,6 +81,8 @@ class EnvConfig:
     position_noise: float = 0.0
     normal_noise: float = 0.0
     force_noise: float = 0.0
+    push_force: float = 0.0
+    push_seconds: float = 1.0
     initial_states: str | Path | None = None
     threads: int | None = None
 
@@ -98,6 +103,7 @@ class EnvConfig:
                 "drop_distance",
                 "max_speed",
                 "max_lead",
+                "push_seconds",
             ),
             not_negative=(
                 "disturbance",
@@ -105,6 +111,7 @@ class EnvConfig:
                 "position_noise",
                 "normal_noise",
                 "force_noise",
+                "push_force",
             ),
         )
         for name, least in (("episode_steps", 1), ("substeps", 1), ("min_fingertips", 0)):
@@ -142,6 +149,11 @@ class EnvConfig:
             normal=self.normal_noise,
             force=self.force_noise,
         )
+
+    @property
+    def push(self) -> Push:
+        """Of the object."""
+        return Push(force=self.push_force, seconds=self.push_seconds)
 
     @property
     def max_change(self) -> float:

@@ -25,13 +25,14 @@ from learning.envs.episode import Episodes
 from learning.envs.initial_states import InitialStates, StateSampler
 from learning.envs.noise import observed
 from learning.envs.observation import Observation
+from learning.envs.pushes import Pusher
 from learning.envs.rendering import RENDER_MODES, Renderer
 from learning.envs.simulation import build_simulator, check_count
 
 _LOG = logging.getLogger(__name__)
 
 # The streams of one environment must not repeat each other; the simulator's takes the seed itself.
-_NOISE_SEED, _DRAW_SEED = 1 << 40, 1 << 41
+_NOISE_SEED, _DRAW_SEED, _PUSH_SEED = 1 << 40, 1 << 41, 1 << 43
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +43,8 @@ class EnvState:
     state: GraspState
     noise: StreamsState
     draws: StreamsState
+    pushes: StreamsState
+    force: Floats
     episodes: dict[str, np.ndarray]
     diverged_count: int
 
@@ -133,6 +136,9 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self._sensor_noise = self.config.noise
         self._noise = Streams(first + _NOISE_SEED, (num_envs,))
         self._draws = Streams(first + _DRAW_SEED, (num_envs,))
+        self._pusher = Pusher(
+            self.config.push, Streams(first + _PUSH_SEED, (num_envs,)), self.config.control_period
+        )
         self._renderer: Renderer | None = None
         self.diverged_count = 0
         self._state = self.sim.read()
@@ -203,6 +209,8 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         before = self._state
         broken = self.sim.diverged  # none, unless those that are done are left as they are
         self.sim.write(before.q_target + self.action.limited(before, wanted))
+        if self.config.push_force > 0:
+            self.sim.push(self._pusher(self._episodes.length))
         self.sim.step()
         diverged = self.sim.diverged
         self._count_diverged(diverged & ~broken)
@@ -265,6 +273,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
             seeds = spread_seeds(seed, self.num_envs)
             self._noise.reseed(seeds + _NOISE_SEED, chosen)
             self._draws.reseed(seeds + _DRAW_SEED, chosen)
+            self._pusher.streams.reseed(seeds + _PUSH_SEED, chosen)
             self.sim.reset(seeds, chosen)
         else:
             self.sim.reset(None, chosen)
@@ -298,6 +307,8 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
             state=self._state,
             noise=self._noise.save(),
             draws=self._draws.save(),
+            pushes=self._pusher.streams.save(),
+            force=self._pusher.force.copy(),
             episodes=self._episodes.save(),
             diverged_count=self.diverged_count,
         )
@@ -312,6 +323,8 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self._state = saved.state
         self._noise.restore(saved.noise)
         self._draws.restore(saved.draws)
+        self._pusher.streams.restore(saved.pushes)
+        self._pusher.force = saved.force.copy()
         self._episodes.restore(saved.episodes)
         self.diverged_count = saved.diverged_count
 

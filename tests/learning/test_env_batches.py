@@ -25,6 +25,8 @@ NOISY = EnvConfig(
     position_noise=0.002,
     normal_noise=0.1,
     force_noise=0.2,
+    push_force=0.5,
+    push_seconds=0.1,
     threads=1,
 )
 SHORT = EnvConfig(object="cylinder", episode_steps=5, threads=1)
@@ -159,7 +161,9 @@ def test_rotation_is_that_of_the_trials() -> None:
 
 
 def test_restored_environments_go_on_with_the_same_bits(wiggle: np.ndarray) -> None:
-    config = EnvConfig(object="cylinder", episode_steps=6, joint_noise=0.01, threads=1)
+    config = EnvConfig(
+        object="cylinder", episode_steps=6, joint_noise=0.01, push_force=0.3, threads=1
+    )
     envs, other = make_vector(config, 2, seed=8), make_vector(config, 2, seed=99)
     for action in wiggle[:4]:
         envs.step(np.tile(action, (2, 1)))
@@ -280,3 +284,18 @@ def test_pictures() -> None:
     assert picture.shape == (600, 800, 3)
     assert picture.std() > 5
     env.close()
+
+
+def test_pushes_have_their_size_and_change_direction() -> None:
+    from dexctl.streams import Streams
+    from learning.envs.pushes import Push, Pusher
+
+    pusher = Pusher(Push(force=0.7, seconds=0.15), Streams(0, (500,)), 0.05)
+    first = pusher(np.zeros(500, int))
+    np.testing.assert_allclose(np.linalg.norm(first, axis=1), 0.7)
+    assert np.abs(first.mean(axis=0)).max() < 0.06  # no direction is preferred
+    np.testing.assert_array_equal(pusher(np.full(500, 2)), first)
+    steps = np.full(500, 2)
+    steps[:10] = 3
+    changed = (pusher(steps) != first).any(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(changed), np.arange(10))

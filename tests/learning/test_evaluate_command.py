@@ -50,7 +50,7 @@ def test_a_controller_in_its_place(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("hold", "--episodes", "2", "--seconds", "0.1", "--robustness") == 0
     table = capsys.readouterr().out
     assert "2 episodes of 0.1 s" in table
-    assert table.count("cube") == 17
+    assert table.count("cube") == 21
     assert "joint 0.1" in table
     assert "rad" in table
 

@@ -75,15 +75,17 @@ def test_robustness_goes_through_every_level(dex5: dexctl.HandModel, tmp_path: P
         controllers.make("hold", dex5),
         "cylinder",
         Protocol(episodes=2, seconds=0.1, threads=1),
-        {"joint": (0.1,), "force": (0.25, 0.5)},
+        {"joint": (0.1,), "force": (0.25,), "push": (0.5,)},
         progress=lambda i, total: done.append((i, total)),
     )
     assert [one.protocol.noise for one in found] == [
         SensorNoise(),
         SensorNoise(joint=0.1),
         SensorNoise(force=0.25),
-        SensorNoise(force=0.5),
+        SensorNoise(),
     ]
+    assert [one.protocol.push.force for one in found] == [0.0, 0.0, 0.0, 0.5]
+    assert not np.array_equal(found[3].rotation, found[0].rotation)
     assert done == [(1, 4), (2, 4), (3, 4), (4, 4)]
     write_csv(tmp_path / "episodes.csv", found)
     rows = list(csv.DictReader((tmp_path / "episodes.csv").open()))
@@ -103,5 +105,5 @@ def test_bad_input(dex5: dexctl.HandModel) -> None:
         Protocol(seconds=np.nan)
     with pytest.raises(InvalidInput, match=r"joint is -1\.0"):
         SensorNoise(joint=-1.0)
-    with pytest.raises(UnknownName, match="unknown noise 'smell'; known: joint, position"):
+    with pytest.raises(UnknownName, match="unknown disturbance 'smell'; known: joint, position"):
         robustness(hold, "cube", levels={"smell": (1.0,)})
