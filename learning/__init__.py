@@ -1,1 +1,37 @@
-"""Reinforcement learning with dexctl's controllers as action priors."""
+"""Reinforcement learning with dexctl's controllers as action priors (thesis, chapter 4).
+
+Importing this package registers the environments with gymnasium, which loads no plug-ins by
+itself; it imports neither torch nor MuJoCo:
+
+    import gymnasium, learning
+
+    env = gymnasium.make("dexctl/FingerGaiting-v0", hand="dex5", object="cube")
+    envs = gymnasium.make_vec("dexctl/FingerGaiting-v0", num_envs=64, object="cylinder")
+
+`load_policy` and what it loads need no more than the core install, gymnasium included.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from learning.policy import Policy, load_policy, save_policy
+
+FINGER_GAITING = "dexctl/FingerGaiting-v0"
+
+__all__ = ["FINGER_GAITING", "Policy", "load_policy", "save_policy"]
+
+
+def _register() -> None:
+    import gymnasium
+
+    if FINGER_GAITING not in gymnasium.registry:
+        gymnasium.register(
+            FINGER_GAITING,
+            entry_point="learning.envs.single:FingerGaitingEnv",
+            vector_entry_point="learning.envs.vector:make_from_options",
+        )
+
+
+if find_spec("gymnasium") is not None:
+    _register()

@@ -127,6 +127,12 @@ class GroupedSimulator:
             ]
         )
 
+    def push(self, force: ArrayLike) -> None:
+        """See `BatchSimulator.push`."""
+        rows_of = self._rows(force)
+        for group, rows in zip(self.groups, self.slices, strict=True):
+            group.push(rows_of[rows])
+
     def step(self) -> None:
         """See `BatchSimulator.step`."""
         for group in self.groups:

@@ -13,6 +13,8 @@ from dexctl.state import Bools, Floats
 from dexctl.streams import StreamsState
 
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+# What a physics step is given: control values, then force and torque on every body.
+INPUT = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 # An object this far from the hand, or faster, is a simulation gone wrong even where it is finite.
 _FARTHEST = 100.0  # [m]
 _FASTEST = 1000.0  # [m/s], [rad/s]
@@ -47,6 +49,8 @@ class PhysicsLayout:
         q: the hand's joints, ``(d,)``.
         qpos, qvel: MuJoCo's generalised positions and velocities.
         position, quaternion: the object's pose.
+        inputs: number of columns of ``INPUT``.
+        push: the force on the object among them.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -58,6 +62,9 @@ class PhysicsLayout:
         pose = 1 + scene.object_qpos.start
         self.position = slice(pose, pose + 3)
         self.quaternion = slice(pose + 3, pose + 7)
+        self.inputs = mujoco.mj_stateSize(model, INPUT)
+        push = model.nu + 6 * model.body("object").id
+        self.push = slice(push, push + 3)
 
     def state(self, qpos: Floats, qvel: Floats | None = None) -> Floats:
         """Full physics states ``(..., size)`` at time 0, at rest without ``qvel``."""

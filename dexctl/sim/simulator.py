@@ -13,13 +13,11 @@ from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.rotations import inverse, multiply, rotation_vector
 from dexctl.sim import checks
 from dexctl.sim.parameters import ParameterSet
-from dexctl.sim.physics_state import PhysicsLayout, SimulatorState
+from dexctl.sim.physics_state import INPUT, PhysicsLayout, SimulatorState
 from dexctl.sim.scene import Scene
 from dexctl.sim.tactile import Tactile, TouchSensors, blur
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams
-
-_CTRL = mujoco.mjtState.mjSTATE_CTRL.value
 
 
 class BatchSimulator:
@@ -111,8 +109,8 @@ class BatchSimulator:
         self._timestep = self.control_period / self.substeps
         self._physics = np.zeros((count, size))
         self._next = np.zeros((count, self.substeps, size))
-        self._ctrl = np.zeros((count, model.nu))
-        self._ctrl_steps = np.zeros((count, self.substeps, model.nu))
+        self._ctrl = np.zeros((count, self._layout.inputs))
+        self._ctrl_steps = np.zeros((count, self.substeps, self._layout.inputs))
         self._sensordata = np.zeros((count, self.substeps, model.nsensordata))
         self._q_target = np.zeros((count, self.hand.nq))
         self._steps = np.zeros(count, np.int64)
@@ -125,7 +123,7 @@ class BatchSimulator:
         self._touch = self._sensors.read(self._history[:, 0], self.tactile.threshold)
         settled = self.scene.settled
         self._settled_physics = self._layout.state(settled.qpos, settled.qvel)
-        self._settled_ctrl = np.zeros(model.nu)
+        self._settled_ctrl = np.zeros(self._layout.inputs)
         self._settled_ctrl[self.scene.actuators] = settled.q_target * self.scene.ctrl_per_radian
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
@@ -188,7 +186,7 @@ class BatchSimulator:
         ctrl = self._ctrl.copy()
         ctrl[:, self.scene.actuators] = q_target * self.scene.ctrl_per_radian
         _, sensordata = self._pool().rollout(
-            self._parameters.models, self._data, physics, ctrl[:, None]
+            self._parameters.models, self._data, physics, ctrl[:, None], control_spec=INPUT
         )
         return sensordata[:, 0, self._sensors.columns]
 
@@ -196,6 +194,7 @@ class BatchSimulator:
         self._physics[chosen] = physics
         self._q_target[chosen] = self._clip(q_target)
         self._ctrl[:, self.scene.actuators] = self._q_target * self.scene.ctrl_per_radian
+        self._ctrl[chosen, self._layout.push] = 0.0
         self._steps[chosen] = 0
         self._diverged[chosen] = False
         self._angular_velocity[chosen] = 0.0
@@ -230,6 +229,10 @@ class BatchSimulator:
         self._ctrl[:, self.scene.actuators] = self._q_target * self.scene.ctrl_per_radian
         return self._out(self._q_target.copy())
 
+    def push(self, force: ArrayLike) -> None:
+        """Pull at the object's centre with ``force`` ``(..., 3)`` [N] until the next or a reset."""
+        self._ctrl[:, self._layout.push] = self._rows("force", force, 3)
+
     def step(self) -> None:
         """Let one control period pass in every environment."""
         self._ctrl_steps[:] = self._ctrl[:, None]
@@ -240,7 +243,7 @@ class BatchSimulator:
         self._pool().rollout(
             self._parameters.models,
             self._data,
-            control_spec=_CTRL,
+            control_spec=INPUT,
             skip_checks=True,
             nstep=self.substeps,
             initial_state=start,

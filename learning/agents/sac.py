@@ -1,0 +1,111 @@
+"""SAC with a guide: the agent of the thesis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from stable_baselines3 import SAC
+from torch.nn import functional
+
+from learning.agents.guided import GuidedExploration, follow, frozen, means
+from learning.agents.losses import imitation_weight, likelihood_cloning
+from learning.agents.replay import GuidedReplayBuffer
+from learning.exploration.guide import Guide
+
+
+class GuidedSAC(GuidedExploration, SAC):
+    """Soft actor-critic whose behaviour is a mixture of its policy and controllers.
+
+    The update is stable-baselines3's with a fixed entropy coefficient, plus behaviour cloning
+    where the method has it. It is restated to compute less: the critic is frozen in the actor's
+    loss, and log probabilities are left out where the entropy coefficient is 0, the thesis's.
+
+    Args:
+        policy, env, **options: as `stable_baselines3.SAC`'s; ``ent_coef`` must be a number.
+        guide: who acts.
+        exploration_noise: added to the policy's actions.
+    """
+
+    def __init__(
+        self,
+        policy: Any,
+        env: Any,
+        *,
+        guide: Guide | None = None,
+        exploration_noise: float = 0.0,
+        **options: Any,
+    ) -> None:
+        options = {"ent_coef": 0.0, "replay_buffer_class": GuidedReplayBuffer, **options}
+        super().__init__(policy, env, **options)
+        self._begin(guide, exploration_noise)
+
+    def train(self, gradient_steps: int, batch_size: int = 64) -> None:
+        """``gradient_steps`` updates of critic, actor and target."""
+        assert self.replay_buffer is not None
+        self.policy.set_training_mode(True)
+        self._update_learning_rate([self.actor.optimizer, self.critic.optimizer])
+        entropy_weight, beta = float(self.ent_coef), self._beta()
+        names = ("critic_loss", "actor_loss", "bc_loss", "q_mean")
+        sums = {name: torch.zeros((), device=self.device) for name in names}
+        for _ in range(gradient_steps):
+            batch = self.replay_buffer.sample(batch_size)
+            mean, log_std, _ = self.actor.get_action_dist_params(batch.observations)
+            action, log_prob = squashed_sample(mean, log_std, bool(entropy_weight))
+            with torch.no_grad():
+                next_action, next_log_prob = self._draw(batch.next_observations, entropy_weight)
+                target = torch.cat(self.critic_target(batch.next_observations, next_action), dim=1)
+                target = target.min(dim=1, keepdim=True).values - entropy_weight * next_log_prob
+                target = batch.rewards + (1.0 - batch.dones) * self.gamma * target
+            values = self.critic(batch.observations, batch.actions)
+            critic_loss = (
+                0.5 * torch.stack([functional.mse_loss(value, target) for value in values]).sum()
+            )
+            self.critic.optimizer.zero_grad()
+            critic_loss.backward()
+            self.critic.optimizer.step()
+
+            with frozen(self.critic):
+                value = torch.cat(self.critic(batch.observations, action), dim=1)
+                actor_loss = (
+                    entropy_weight * log_prob - value.min(dim=1, keepdim=True).values
+                ).mean()
+                cloning = torch.zeros((), device=self.device)
+                if beta > 0:
+                    with torch.no_grad():
+                        found = self.critic(batch.observations, batch.guide_actions)
+                        least = torch.cat(found, dim=1).min(dim=1, keepdim=True).values
+                    weight = imitation_weight(least, batch.guided)
+                    cloning = likelihood_cloning(batch.guide_actions, mean, log_std, weight)
+                self.actor.optimizer.zero_grad()
+                (actor_loss + beta * cloning).backward()
+            self.actor.optimizer.step()
+            follow(self.critic_target, self.critic, self.tau)
+
+            sums["critic_loss"] += critic_loss.detach()
+            sums["actor_loss"] += actor_loss.detach()
+            sums["bc_loss"] += cloning.detach()
+            sums["q_mean"] += value.detach().mean()
+        self._n_updates += gradient_steps
+        self.statistics = means(sums, gradient_steps)
+
+    def _draw(
+        self, observation: torch.Tensor, entropy_weight: float
+    ) -> tuple[torch.Tensor, torch.Tensor | float]:
+        mean, log_std, _ = self.actor.get_action_dist_params(observation)
+        return squashed_sample(mean, log_std, bool(entropy_weight))
+
+
+def squashed_sample(
+    mean: torch.Tensor, log_std: torch.Tensor, with_log_prob: bool
+) -> tuple[torch.Tensor, torch.Tensor | float]:
+    """Drawn actions a = tanh(u), and their log probability ``(B, 1)`` or 0 where not asked for."""
+    noise = torch.randn_like(mean)
+    u = mean + torch.exp(log_std) * noise
+    action = torch.tanh(u)
+    if not with_log_prob:
+        return action, 0.0
+    # log(1 - tanh(u)^2) without cancellation
+    bend = 2.0 * (0.6931471805599453 - u - functional.softplus(-2.0 * u))
+    gaussian = -0.5 * noise * noise - log_std - 0.9189385332046727
+    return action, (gaussian - bend).sum(dim=1, keepdim=True)

@@ -1,0 +1,54 @@
+"""Environments: a hand that is rewarded for turning an object with its fingertips.
+
+The environments themselves need the extra "learning" and are loaded when they are first named; what
+trained policies share with them (observation, action, configuration) does not.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from dexctl.exceptions import MissingExtra
+from learning.envs.action import SetPointAction
+from learning.envs.config import EnvConfig
+from learning.envs.initial_states import InitialStates
+from learning.envs.observation import DEFAULT_PARTS, PARTS, Observation
+
+if TYPE_CHECKING:
+    from learning.envs.single import FingerGaitingEnv
+    from learning.envs.vector import EnvState, FingerGaitingVectorEnv, make_vector
+
+__all__ = [
+    "DEFAULT_PARTS",
+    "PARTS",
+    "EnvConfig",
+    "EnvState",
+    "FingerGaitingEnv",
+    "FingerGaitingVectorEnv",
+    "InitialStates",
+    "Observation",
+    "SetPointAction",
+    "make_vector",
+]
+
+_LAZY = {
+    "EnvState": "learning.envs.vector",
+    "FingerGaitingEnv": "learning.envs.single",
+    "FingerGaitingVectorEnv": "learning.envs.vector",
+    "make_vector": "learning.envs.vector",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Load a name of ``_LAZY`` (PEP 562); later uses find it in the module directly."""
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        value = getattr(import_module(_LAZY[name]), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] != "gymnasium":
+            raise
+        raise MissingExtra(f"learning.envs.{name}", "learning") from None
+    globals()[name] = value
+    return value

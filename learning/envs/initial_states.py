@@ -1,0 +1,130 @@
+"""Initial states from a file: grasps that a planner, or an earlier run, has found."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dexctl.exceptions import InvalidInput
+from dexctl.hand import HandModel
+from dexctl.state import Floats
+from learning.files import aside
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InitialStates:
+    """S grasps of one hand, at rest. `save` and `load` keep them in a numpy ``.npz`` file.
+
+    Attributes:
+        q: joint positions ``(S, d)`` [rad].
+        q_target: set-points ``(S, d)`` [rad].
+        object_position: ``(S, 3)`` [m], hand (= world) frame.
+        object_quaternion: wxyz, unit, ``(S, 4)``.
+        object: name of the object of each, ``(S,)``.
+        joint_names: of the hand, ``(d,)``, in the order of ``q``.
+
+    Raises:
+        InvalidInput: shapes that do not belong together, or numbers that are not finite.
+    """
+
+    q: Floats
+    q_target: Floats
+    object_position: Floats
+    object_quaternion: Floats
+    object: NDArray[np.str_]
+    joint_names: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        for name in ("object", "joint_names"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), np.str_))
+        count, d = len(self.object), len(self.joint_names)
+        if not count:
+            raise InvalidInput("InitialStates has no states; expected at least one")
+        for name, width in (
+            ("q", d),
+            ("q_target", d),
+            ("object_position", 3),
+            ("object_quaternion", 4),
+        ):
+            value = np.asarray(getattr(self, name), float)
+            if value.shape != (count, width):
+                raise InvalidInput(
+                    f"InitialStates.{name} has shape {value.shape}; expected {(count, width)}"
+                )
+            if not np.isfinite(value).all():
+                raise InvalidInput(f"InitialStates.{name} has numbers that are not finite")
+            object.__setattr__(self, name, value)
+        norm = np.linalg.norm(self.object_quaternion, axis=1)
+        if (np.abs(norm - 1.0) > 1e-3).any():
+            bad = float(norm[np.argmax(np.abs(norm - 1.0))])
+            raise InvalidInput(f"InitialStates.object_quaternion has norm {bad:.4g}; expected 1")
+
+    def __len__(self) -> int:
+        return len(self.object)
+
+    def save(self, path: str | Path) -> None:
+        """Write the file, whole or not at all."""
+        with aside(Path(path)) as part, part.open("wb") as stream:
+            np.savez(stream, **{field.name: getattr(self, field.name) for field in fields(self)})
+
+    @classmethod
+    def load(cls, path: str | Path) -> InitialStates:
+        """Read what `save` wrote.
+
+        Raises:
+            InvalidInput: no such file, or not one of these.
+        """
+        names = [field.name for field in fields(cls)]
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                missing = [name for name in names if name not in stored]
+                values = {name: stored[name] for name in names if name in stored}
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise InvalidInput(f"initial_states {str(path)!r} cannot be read: {error}") from None
+        if missing:
+            raise InvalidInput(
+                f"initial_states {str(path)!r} lacks {', '.join(missing)}; expected "
+                f"{', '.join(names)}"
+            )
+        return cls(**values)
+
+
+class StateSampler:
+    """Draws, for each environment of a batch, a state of its own object.
+
+    Args:
+        states: what to draw from.
+        hand: the hand of the environments.
+        objects: the object of each environment, ``(N,)``.
+
+    Raises:
+        InvalidInput: states of another hand, or an object without states.
+    """
+
+    def __init__(self, states: InitialStates, hand: HandModel, objects: tuple[str, ...]) -> None:
+        if tuple(states.joint_names) != tuple(hand.joint_names):
+            raise InvalidInput(
+                f"the initial states are of a hand with joints {', '.join(states.joint_names)}; "
+                f"expected {', '.join(hand.joint_names)}"
+            )
+        known = sorted(set(states.object.tolist()))
+        missing = sorted(set(objects) - set(known))
+        if missing:
+            raise InvalidInput(
+                f"the initial states have none of the object {missing[0]!r}; they are of "
+                f"{', '.join(known)}"
+            )
+        self.states = states
+        self._order = np.argsort(states.object, kind="stable")
+        names = states.object[self._order]
+        wanted = np.array(objects)
+        self._first = np.searchsorted(names, wanted, side="left")
+        self._count = np.searchsorted(names, wanted, side="right") - self._first
+
+    def __call__(self, fraction: Floats) -> NDArray[np.intp]:
+        """The state for each environment, from uniform numbers ``(N,)`` in [0, 1)."""
+        return self._order[self._first + (fraction * self._count).astype(np.intp)]

@@ -1,0 +1,64 @@
+"""Perturbation: forces that pull at the object in changing directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dexctl.state import Bools, Floats
+from dexctl.streams import Streams
+from dexctl.validation import check_numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class Push:
+    """A force of constant size at the object's centre, each time in another direction.
+
+    Directions are uniform on the sphere, a stream of them for each environment. The thesis gives
+    the size of its perturbation forces (1 N, the weight of the object) and nothing else.
+
+    Attributes:
+        force: its size [N].
+        seconds: how long each lasts, rounded to control periods [s].
+
+    Raises:
+        InvalidInput: a number out of range.
+    """
+
+    force: float = 0.0
+    seconds: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, not_negative=("force",), positive=("seconds",))
+
+    def __bool__(self) -> bool:
+        return self.force > 0
+
+
+class Pusher:
+    """Keeps the forces on N objects up to date.
+
+    Args:
+        push: how they are pushed.
+        streams: of the directions, ``(N,)``.
+        control_period: [s].
+
+    Attributes:
+        force: now, ``(N, 3)`` [N], world frame.
+    """
+
+    def __init__(self, push: Push, streams: Streams, control_period: float) -> None:
+        self._push, self.streams = push, streams
+        self._every = max(round(push.seconds / control_period), 1)
+        self.force = np.zeros((*streams.batch_shape, 3))
+
+    def __call__(self, step: np.ndarray) -> Floats:
+        """The forces ``(N, 3)`` [N] of control steps ``step`` ``(N,)``, counted from the reset."""
+        due: Bools = step % self._every == 0
+        if due.any():
+            direction = self.streams.normal((3,), due)
+            length = np.sqrt((direction * direction).sum(axis=-1, keepdims=True))
+            drawn = self._push.force * direction / np.maximum(length, 1e-12)
+            self.force = np.where(due[:, None], drawn, self.force)
+        return self.force

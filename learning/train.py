@@ -1,0 +1,355 @@
+"""Training: a configuration and a folder become a policy, with logs and checkpoints on the way.
+
+A run folder holds ``config.json``, ``progress.csv``, ``tensorboard/``, ``checkpoint.pt`` (see
+`learning.checkpoint`), and ``policy.npz`` with its card ``policy.json``.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+
+from dexctl import controllers
+from dexctl.exceptions import InvalidInput
+from learning import checkpoint
+from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv
+from learning.envs import FingerGaitingVectorEnv, make_vector
+from learning.exploration import POLICY, Guide
+from learning.files import write_text
+from learning.policy import PolicySpec, save_policy
+from learning.run_log import RunLog, Tally
+from learning.settings import TrainConfig
+
+CONFIG_NAME = "config.json"
+POLICY_NAME = "policy.npz"
+Agent = GuidedSAC | GuidedTD3
+Report = Callable[[int, Mapping[str, float]], None]
+
+
+def train(
+    config: TrainConfig,
+    folder: Path,
+    *,
+    report: Report | None = None,
+    remark: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Train from the beginning; what `resume` returns.
+
+    Raises:
+        InvalidInput: the folder holds a run already.
+    """
+    if (folder / CONFIG_NAME).exists():
+        raise InvalidInput(f"{folder} holds a run already; resume it, or take another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    agent = build(config)  # what is wrong with the configuration shows before a file is written
+    write_text(folder / CONFIG_NAME, json.dumps(config.to_dict(), indent=2) + "\n")
+    return _run(agent, config, folder, None, report, remark)
+
+
+def resume(
+    folder: Path,
+    steps: int | None = None,
+    *,
+    report: Report | None = None,
+    remark: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Continue a run from its last checkpoint, or from the beginning where it has none.
+
+    What was done after the checkpoint is done again, to the same bits.
+
+    Args:
+        folder: of the run.
+        steps: train up to this many environment steps; None: as many as the run was made for.
+        report: called with the steps so far and the last row of the log, after each step.
+        remark: called with what people should know, a checkpoint that could not be written.
+
+    Returns:
+        Where the policy is, the steps, and the figures of the last row.
+
+    Raises:
+        InvalidInput, CheckpointError: there is no run in the folder, or it cannot be continued.
+    """
+    config = read_config(folder)
+    if steps is not None:
+        config = replace(config, steps=steps)
+    saved = None
+    if (folder / checkpoint.NAME).exists():
+        saved = checkpoint.read(folder)
+    return _run(build(config), config, folder, saved, report, remark)
+
+
+def read_config(folder: Path) -> TrainConfig:
+    """The configuration of the run in ``folder``.
+
+    Raises:
+        InvalidInput: there is none.
+    """
+    path = folder / CONFIG_NAME
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InvalidInput(f"there is no run in {folder}: no {CONFIG_NAME}") from None
+    except ValueError as error:
+        raise InvalidInput(f"{path} is not JSON: {error}") from None
+    return TrainConfig.from_dict(values)
+
+
+def build(config: TrainConfig) -> Agent:
+    """The agent, with its environments and controllers, as it is before the first step."""
+    device = _device(config.device)
+    torch.set_num_threads(config.torch_threads)
+    env = make_vector(config.env, config.num_envs, config.seed)
+    names = () if config.guidance.method == "rl" else config.controllers
+    period = config.env.control_period
+    guide = Guide(
+        env,
+        [controllers.make(name, env.hand, control_period=period) for name in names],
+        config.guidance,
+        config.seed,
+    )
+    options: dict[str, Any] = {
+        "guide": guide,
+        "learning_rate": config.learning_rate,
+        "buffer_size": config.buffer_size,
+        "learning_starts": config.learning_starts,
+        "batch_size": config.batch_size,
+        "tau": config.tau,
+        "gamma": config.gamma,
+        "train_freq": 1,
+        "gradient_steps": config.gradient_steps,
+        "replay_buffer_class": GuidedReplayBuffer,
+        "replay_buffer_kwargs": {
+            "labels": config.guidance.method == "rl+bc",
+            "seed": config.seed,
+        },
+        "policy_kwargs": {
+            "net_arch": list(config.network),
+            "optimizer_kwargs": {"fused": True},
+        },
+        "seed": config.seed,
+        "device": device,
+    }
+    vec_env = StableBaselinesVecEnv(env)
+    if config.algorithm == "td3":
+        return GuidedTD3(
+            "MlpPolicy", vec_env, exploration_noise=config.exploration_noise, **options
+        )
+    return GuidedSAC("MlpPolicy", vec_env, **options)
+
+
+def _device(name: str) -> str:
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise InvalidInput("device is 'cuda', and torch finds no GPU here; expected cpu or auto")
+    return ("cuda" if available else "cpu") if name == "auto" else name
+
+
+def _run(
+    agent: Agent,
+    config: TrainConfig,
+    folder: Path,
+    saved: dict[str, Any] | None,
+    report: Report | None,
+    remark: Callable[[str], None] | None,
+) -> dict[str, Any]:
+    log = RunLog(folder, None if saved is None else saved["counters"]["num_timesteps"])
+    keeper = _Keeper(config, folder, log, report, remark)
+    try:
+        if saved is not None:
+            checkpoint.restore(agent, saved)
+            keeper.restore(saved["run"])
+            del saved
+        left = config.steps - agent.num_timesteps
+        if left > 0:
+            with _interruptible(keeper):
+                agent.learn(left, callback=keeper, reset_num_timesteps=False)
+            keeper.finish()
+    finally:
+        log.close()
+        assert agent.env is not None
+        agent.env.close()
+    return {
+        "policy": str(folder / POLICY_NAME),
+        "steps": agent.num_timesteps,
+        "last": keeper.row,
+    }
+
+
+class _Keeper(BaseCallback):
+    """Counts, logs and saves, between the updates and the next step."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        folder: Path,
+        log: RunLog,
+        report: Report | None,
+        remark: Callable[[str], None] | None,
+    ) -> None:
+        super().__init__()
+        self.config, self.folder, self.log = config, folder, log
+        self.report, self.remark = report, remark
+        self.tally = Tally()
+        self.row: dict[str, float] = {}
+        self.stop = False
+        self._next_log = config.log_every
+        self._next_checkpoint = config.checkpoint_every
+        self._seconds, self._since = 0.0, time.monotonic()
+
+    def _agent(self) -> Agent:
+        assert isinstance(self.model, GuidedSAC | GuidedTD3)
+        return self.model
+
+    def _on_step(self) -> bool:
+        env = self._agent().env
+        assert isinstance(env, StableBaselinesVecEnv)
+        self.tally.add(self.locals["rewards"], env.ended, env.info)
+        return True
+
+    def _on_rollout_start(self) -> None:
+        """Between an update and the next step, where a checkpoint is the whole truth."""
+        step = self._agent().num_timesteps
+        if step >= self._next_log:
+            self._write_row()
+        if step >= self._next_checkpoint:
+            try:
+                self.save()
+            except (checkpoint.CheckpointError, OSError) as error:  # go on: nothing is lost yet
+                self._say(str(error))
+        if self.report is not None:
+            self.report(step, self.row)
+        if self.stop:
+            self.save()
+            raise KeyboardInterrupt
+
+    def _say(self, text: str) -> None:
+        if self.remark is not None:
+            self.remark(text)
+
+    def finish(self) -> None:
+        """The last row, checkpoint and policy."""
+        if self._agent().num_timesteps > self.row.get("step", -1):
+            self._write_row()
+        self.save()
+        if self.report is not None:
+            self.report(self._agent().num_timesteps, self.row)
+
+    def _write_row(self) -> None:
+        agent = self._agent()
+        guide = agent.guide
+        assert guide is not None
+        acted, guide.acted = guide.acted, np.zeros_like(guide.acted)
+        self.row = {
+            "step": agent.num_timesteps,
+            "updates": agent._n_updates,
+            **self.tally.row(),
+            "controller_share": float(1.0 - acted[POLICY] / max(acted.sum(), 1)),
+            **agent.statistics,
+            "beta": guide.beta(agent.num_timesteps),
+            "seconds": self.seconds,
+        }
+        try:
+            self.log.write(self.row)
+        except OSError as error:  # a full disk; the row is kept and written with the next one
+            self._say(f"cannot write {self.log.path}: {error.strerror}")
+        self._next_log = _next(agent.num_timesteps, self.config.log_every)
+
+    @property
+    def seconds(self) -> float:
+        """Training time so far, interruptions left out [s]."""
+        return self._seconds + time.monotonic() - self._since
+
+    def save(self) -> None:
+        """Checkpoint and policy."""
+        self.log.sync()
+        agent = self._agent()
+        self._next_checkpoint = _next(agent.num_timesteps, self.config.checkpoint_every)
+        run = {
+            "tally": dict(self.tally.sums),
+            "row": dict(self.row),
+            "next_log": self._next_log,
+            "next_checkpoint": self._next_checkpoint,
+            "seconds": self.seconds,
+        }
+        checkpoint.write(self.folder, {**checkpoint.capture(agent), "run": run})
+        export_policy(agent, self.config, self.folder / POLICY_NAME, self.row)
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Continue from what a checkpoint has."""
+        self.tally.sums = dict(saved["tally"])
+        self.row = dict(saved["row"])
+        self._next_log = saved["next_log"]
+        self._next_checkpoint = saved["next_checkpoint"]
+        self._seconds, self._since = saved["seconds"], time.monotonic()
+
+
+def export_policy(
+    agent: Agent, config: TrainConfig, path: Path, figures: Mapping[str, float]
+) -> None:
+    """Write the agent's policy, which runs without torch, and its card."""
+    assert isinstance(agent.env, StableBaselinesVecEnv)
+    env = agent.env.env
+    assert isinstance(env, FingerGaitingVectorEnv)
+    spec = PolicySpec.of(env.hand, env.observation, env.action, config.env)
+    card = {
+        "trained": config.to_dict(),
+        "steps": agent.num_timesteps,
+        "figures": dict(figures),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in ("numpy", "torch", "stable-baselines3", "mujoco")},
+        },
+    }
+    save_policy(path, policy_layers(agent), spec, card)
+
+
+def policy_layers(agent: Agent) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The deterministic policy as (weight, bias) pairs; ReLU between them, tanh at the end."""
+    if isinstance(agent, GuidedSAC):
+        modules = [*agent.actor.latent_pi, agent.actor.mu]
+    else:
+        modules = list(agent.actor.mu)
+    return [
+        (m.weight.detach().cpu().numpy().copy(), m.bias.detach().cpu().numpy().copy())
+        for m in modules
+        if isinstance(m, torch.nn.Linear)
+    ]
+
+
+@contextmanager
+def _interruptible(keeper: _Keeper) -> Iterator[None]:
+    """Ctrl-C and SIGTERM save a checkpoint first; a second one does not wait for it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = {}
+
+    def stop(number: int, frame: object) -> None:
+        keeper.stop = True
+        signal.signal(number, previous[number])
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        previous[number] = signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _next(step: int, every: int) -> int:
+    """The first multiple of ``every`` beyond ``step``."""
+    return (step // every + 1) * every
