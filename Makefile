@@ -5,6 +5,7 @@ VENV ?= .venv
 JOBS ?= 2
 
 bin := $(VENV)/bin
+demo_stamp := $(VENV)/.installed-demo
 stamp := $(VENV)/.installed
 # the table of figures comes last: it is made from what the others wrote
 benchmarks = $(filter-out %/common.py %/__init__.py %/readme.py,$(sort $(wildcard benchmarks/*.py))) \
@@ -23,17 +24,23 @@ help:
 	@echo "make docs       the documentation, in docs/_build/html"
 	@echo "make clean      remove what the above made"
 
-# Installed again when what is to be installed changes, so a second call costs nothing.
-$(stamp): pyproject.toml constraints.txt
+# Installed again when what is to be installed changes, so a second call costs nothing. The demo
+# needs neither torch nor the tools of the tests, so it does not wait for them.
+$(demo_stamp): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || { echo \
 	    "dexctl needs Python 3.11 to 3.13; choose one: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(bin)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fast,viz,dev]'
+	$(bin)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fast,viz]'
+	@touch $@
+
+$(stamp): $(demo_stamp)
+	$(bin)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	    -e '.[all,dev]'
 	@touch $@
 
 venv: $(stamp)
 
-demo: $(stamp)
+demo: $(demo_stamp)
 	$(bin)/dexctl demo
 
 test: $(stamp)
