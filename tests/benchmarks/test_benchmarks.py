@@ -98,14 +98,14 @@ def test_readme_shows_the_results() -> None:
 
 def test_readme_is_renewed_between_its_comments(tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
-    readme.write_text("head\n<!-- figures:begin -->\nold\n<!-- figures:end -->\ntail\n")
+    readme.write_text("head\n<!-- figures:begin -->\nstale words\n<!-- figures:end -->\ntail\n")
     assert run("readme.py", "--readme", readme, "--check").returncode == 1
-    assert "old" in readme.read_text()
+    assert "stale words" in readme.read_text()
     assert run("readme.py", "--readme", readme).returncode == 0
     text = readme.read_text()
     assert text.startswith("head\n<!-- figures:begin -->\nMeasured on ")
     assert text.endswith("<!-- figures:end -->\ntail\n")
-    assert "old" not in text
+    assert "stale words" not in text
     assert run("readme.py", "--readme", readme, "--check").returncode == 0
 
 
