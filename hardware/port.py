@@ -51,7 +51,10 @@ class SerialPort:
         self._handler = PortHandler(self.path)
         try:
             self._handler.setBaudRate(baudrate)
-            self._fd = self._handler.ser.fileno()
+            device = self._handler.ser
+            if device is None:
+                raise OSError(f"dynamixel-sdk does not open it at {baudrate} baud")
+            self._fd = device.fileno()
             fcntl.ioctl(self._fd, termios.TIOCEXCL)
         except (OSError, termios.error) as error:  # pyserial's errors are OSErrors
             os.close(self._lock)

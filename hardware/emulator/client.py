@@ -175,11 +175,19 @@ class Emulator:
         """
         return self.ask("state")
 
+    def support(self, supported: bool) -> None:
+        """Hold the simulated object still, or let it go at once.
+
+        It is held from the start until every finger has pressed on it with 1 N for 0.3 s.
+        """
+        self.ask("support", supported=supported)
+
     def touch(self) -> dict[str, Any] | None:
         """What the simulated fingertips feel, or None with first-order joints.
 
         Keys: time [s], age [s], in_contact, position [m], normal (into the object), force [N], one
-        entry for each finger; object_position [m], object_quaternion (wxyz), the truth.
+        entry for each finger; supported (somebody holds the object still); object_position [m] and
+        object_quaternion (wxyz), the truth.
         """
         return self.ask("touch")
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dexctl.exceptions import InvalidInput
 from dexctl.state import Bools, Floats
 from hardware.registers import AMPERES, RADIANS_PER_TICK, OperatingMode
 
@@ -122,6 +123,14 @@ class Joints(ABC):
     def touch(self) -> dict[str, object] | None:
         """What the fingertips feel, if there are any."""
         return None
+
+    def support(self, supported: bool) -> None:
+        """Hold the object still, or let it go.
+
+        Raises:
+            InvalidInput: there is no object.
+        """
+        raise InvalidInput("support: first-order joints hold no object")
 
     def _move_reference(self, h: float) -> None:
         c = self.commands

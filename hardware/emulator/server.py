@@ -58,6 +58,7 @@ class Server:
             "fault": lambda name, **arguments: self.faults.make(name, **arguments),
             "advance": self._advance,
             "state": self.chain.state,
+            "support": self.chain.joints.support,
             "touch": self.chain.joints.touch,
             "unplug": self._unplug,
             "replug": self._plug,
