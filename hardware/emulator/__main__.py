@@ -10,6 +10,7 @@ import gc
 import signal
 import sys
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -77,21 +78,24 @@ def _check(settings: Settings, count: int) -> None:
         raise InvalidInput(f"ids {settings.ids}: two servos share one")
 
 
+def _chain(settings: Settings) -> Chain:
+    joints = _joints(settings)
+    _check(settings, len(joints.q))
+    return Chain(joints, settings.ids, settings.zeros, settings.signs, not settings.no_fast)
+
+
 def main() -> int:
     """Serve until standard input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for whoever drives the servos
     settings = tyro.cli(Settings, description=__doc__)
     try:
-        joints = _joints(settings)
-        _check(settings, len(joints.q))
-        chain = Chain(joints, settings.ids, settings.zeros, settings.signs, not settings.no_fast)
-        server = Server(chain, settings.manual, settings.seed)
+        server = Server(partial(_chain, settings), settings.manual, settings.seed)
     except DexctlError as error:
         say({"error": str(error)})
         return 2
     gc.collect()
     gc.freeze()
-    say({"port": server.port, "servos": len(chain.servos)})
+    say({"port": server.port, "servos": len(server.chain.servos)})
     server.serve()
     return 0
 

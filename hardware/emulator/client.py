@@ -167,6 +167,10 @@ class Emulator:
         """Let time pass in a manual emulator; returns its time [s]."""
         return self.ask("advance", seconds=seconds)
 
+    def reset(self) -> None:
+        """Servos and joints as at the start, no faults; an unplugged port stays unplugged."""
+        self.ask("reset")
+
     def state(self) -> dict[str, Any]:
         """Truth about the servos, a list entry each, in their order.
 

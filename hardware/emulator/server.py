@@ -32,18 +32,20 @@ class Server:
     """Serves a chain of servos on a pseudo-terminal until told to stop.
 
     Args:
-        chain: the servos.
+        build: makes the servos, now and at every reset.
         manual: time stands still but for ``{"do": "advance", "seconds": s}``; else it is the
             clock's.
         seed: of faults that strike at random.
 
     Attributes:
+        chain: the servos.
         port: path of the pseudo-terminal; None while unplugged.
     """
 
-    def __init__(self, chain: Chain, manual: bool = False, seed: int = 0) -> None:
-        self.chain = chain
-        self.faults = Faults(chain, seed)
+    def __init__(self, build: Callable[[], Chain], manual: bool = False, seed: int = 0) -> None:
+        self._build, self._seed = build, seed
+        self._time = time.monotonic
+        self._reset()
         self.port: str | None = None
         self._manual = manual
         self._parser = Parser()
@@ -52,14 +54,13 @@ class Server:
         self._line = bytearray()
         self._running = True
         self._packets = 0
-        self._time = time.monotonic
-        self._last = self._time()
         self._commands: dict[str, Callable[..., Any]] = {
             "fault": lambda name, **arguments: self.faults.make(name, **arguments),
             "advance": self._advance,
-            "state": self.chain.state,
-            "support": self.chain.joints.support,
-            "touch": self.chain.joints.touch,
+            "state": lambda: self.chain.state(),
+            "support": lambda supported: self.chain.joints.support(supported),
+            "touch": lambda: self.chain.joints.touch(),
+            "reset": self._reset,
             "unplug": self._unplug,
             "replug": self._plug,
             "count": lambda: {"packets": self._packets, "crc_errors": self._parser.crc_errors},
@@ -145,6 +146,11 @@ class Server:
             self.chain.advance(min(self.chain.now + 0.005, end))
             self.chain.watch()
         return self.chain.now
+
+    def _reset(self) -> None:
+        self.chain = self._build()
+        self.faults = Faults(self.chain, self._seed)
+        self._last = self._time()
 
     def _stop(self) -> None:
         self._running = False
