@@ -16,9 +16,8 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from types import TracebackType
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,29 +25,29 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from hardware.exceptions import ServoError
+from hardware.line import Line
 from hardware.port import SerialPort
 from hardware.protocol import (
     BROADCAST,
     MAX_ID,
     Instruction,
-    Packet,
-    Parser,
     build,
     split_fast_status,
 )
-from hardware.readings import Ping, Readings, Statistics
+from hardware.readings import (
+    Answer,
+    Ping,
+    Readings,
+    Statistics,
+    checked_id,
+    checked_ids,
+    cut_readings,
+)
 from hardware.registers import ALERT, Register, describe_status_error
 
 REBOOT_TIMEOUT = 3.0  # s until a rebooted servo must answer
-QUIET = 0.002  # s without a byte after which a late answer is taken to be over
 FAST_TRIALS = 3  # fast reads that may fail before the servos count as not knowing them
 FAST_PAUSE = 50  # plain reads after a servo was missing, before a fast one is tried again
-_BITS_PER_BYTE = 10  # start and stop bit included
-
-
-class _Answer(NamedTuple):
-    error: int  # the error byte, alert bit included
-    data: bytes
 
 
 class Bus:
@@ -88,34 +87,31 @@ class Bus:
         timeout: float = 0.01,
         retries: int = 1,
     ) -> None:
-        self.ids = _checked_ids(ids)
+        self.ids = checked_ids(ids)
         if not (np.isfinite(timeout) and 0 < timeout <= 10):
             raise InvalidInput(f"timeout is {timeout}; expected seconds above 0, up to 10")
         if not 0 <= retries <= 20:
             raise InvalidInput(f"retries is {retries}; expected 0 to 20")
         self.timeout = float(timeout)
         self.retries = int(retries)
-        self._counts = Statistics()
-        self._parser = Parser()
         self._lock = threading.Lock()
-        self._unsettled = False  # a late answer may still come
         self._fast: bool | None = None
         self._fast_failures = 0
         self._fast_pause = 0
         self._sync_read_packets: dict[tuple[int, int, int, tuple[int, ...]], bytes] = {}
-        self._port = SerialPort(port, baudrate)
+        self._line = Line(SerialPort(port, baudrate), self.timeout)
 
     # -- public calls ---------------------------------------------------------------------------
 
     @property
     def port(self) -> str:
         """Path of the device."""
-        return self._port.path
+        return self._line.path
 
     @property
     def latency_timer(self) -> float | None:
         """Latency timer of an FTDI adapter [s], None for other ports; it should be 1 ms."""
-        return self._port.latency_timer
+        return self._line.latency_timer
 
     @property
     def fast(self) -> bool | None:
@@ -125,10 +121,7 @@ class Bus:
     @property
     def statistics(self) -> Statistics:
         """Counts since the bus was opened (a copy)."""
-        counts = Statistics(**self._counts.as_dict())
-        counts.crc_errors = self._parser.crc_errors
-        counts.skipped_bytes = self._parser.skipped
-        return counts
+        return self._line.statistics()
 
     def ping(self, servo: int) -> Ping:
         """Ask one servo who it is.
@@ -146,7 +139,7 @@ class Bus:
         found = {}
         for servo in ids:
             with self._lock:
-                answer = self._once(servo, build(_checked_id(servo), Instruction.PING), 3)
+                answer = self._once(servo, build(checked_id(servo), Instruction.PING), 3)
             if answer is not None:
                 found[servo] = Ping(*struct.unpack("<HB", answer.data), answer.error)
         return found
@@ -175,12 +168,12 @@ class Bus:
         """
         if not registers:
             raise InvalidInput("no registers to read")
-        chosen = self.ids if ids is None else _checked_ids(ids)
+        chosen = self.ids if ids is None else checked_ids(ids)
         start = min(register.address for register in registers)
         size = max(register.end for register in registers) - start
         with self._lock:
             answers = self._sync_read(start, size, chosen)
-        return _readings(registers, chosen, start, size, answers)
+        return cut_readings(registers, chosen, start, size, answers)
 
     def write(
         self, register: Register, value: ArrayLike, ids: Sequence[int] | None = None
@@ -200,15 +193,15 @@ class Bus:
                 is sent), or a register that is read-only.
             PortLost: the port has vanished.
         """
-        chosen = self.ids if ids is None else _checked_ids(ids)
+        chosen = self.ids if ids is None else checked_ids(ids)
         raw = self._raw_values(register, value, len(chosen))
         fields = raw.astype(f"<i{register.size}")[:, None].view(np.uint8)
         rows = np.concatenate([np.array(chosen, np.uint8)[:, None], fields], axis=1)
         head = struct.pack("<HH", register.address, register.size)
         packet = build(BROADCAST, Instruction.SYNC_WRITE, head + rows.tobytes())
         with self._lock:
-            self._settle()
-            self._send(packet)
+            self._line.settle()
+            self._line.send(packet)
         return register.to_si(raw)
 
     def write_checked(self, register: Register, value: float, servo: int) -> float:
@@ -234,7 +227,7 @@ class Bus:
             ServoError: it does not answer within `REBOOT_TIMEOUT`.
         """
         with self._lock:
-            self._once(_checked_id(servo), build(servo, Instruction.REBOOT), 0)
+            self._once(checked_id(servo), build(servo, Instruction.REBOOT), 0)
             deadline = time.monotonic() + REBOOT_TIMEOUT
             while time.monotonic() < deadline:
                 time.sleep(0.02)
@@ -249,7 +242,7 @@ class Bus:
 
     def close(self) -> None:
         """Give the port back. Torque stays as it is."""
-        self._port.close()
+        self._line.close()
 
     def __enter__(self) -> Bus:
         return self
@@ -266,11 +259,11 @@ class Bus:
 
     def _ask(
         self, servo: int, code: Instruction, parameters: bytes, size: int, what: str = ""
-    ) -> _Answer:
+    ) -> Answer:
         """The answer of one servo, sent again where it does not come."""
-        packet = build(_checked_id(servo), code, parameters)
+        packet = build(checked_id(servo), code, parameters)
         for attempt in range(self.retries + 1):
-            self._counts.retries += attempt > 0
+            self._line.counts.retries += attempt > 0
             answer = self._once(servo, packet, size)
             if answer is not None:
                 return answer
@@ -281,44 +274,44 @@ class Bus:
             answered=False,
         )
 
-    def _once(self, servo: int, packet: bytes, size: int) -> _Answer | None:
-        answers = self._exchange(packet, (servo,), size)
+    def _once(self, servo: int, packet: bytes, size: int) -> Answer | None:
+        answers = self._line.exchange(packet, (servo,), size)
         return answers.get(servo)
 
     # -- several servos ---------------------------------------------------------------------------
 
-    def _sync_read(self, start: int, size: int, ids: tuple[int, ...]) -> dict[int, _Answer]:
+    def _sync_read(self, start: int, size: int, ids: tuple[int, ...]) -> dict[int, Answer]:
         if len(ids) > 1 and self._fast is not False and self._fast_pause == 0:
             together = self._fast_read(start, size, ids)
             if together is not None:
                 return together
-            self._counts.fast_fallbacks += 1
+            self._line.counts.fast_fallbacks += 1
         self._fast_pause = max(self._fast_pause - 1, 0)
-        answers: dict[int, _Answer] = {}
+        answers: dict[int, Answer] = {}
         for attempt in range(self.retries + 1):
             missing = tuple(servo for servo in ids if servo not in answers)
-            self._counts.retries += attempt > 0
+            self._line.counts.retries += attempt > 0
             packet = self._read_packet(Instruction.SYNC_READ, start, size, missing)
-            answers |= self._exchange(packet, missing, size)
+            answers |= self._line.exchange(packet, missing, size)
             if len(answers) == len(ids):
                 break
         self._judge_fast(complete=len(answers) == len(ids))
         return answers
 
-    def _fast_read(self, start: int, size: int, ids: tuple[int, ...]) -> dict[int, _Answer] | None:
+    def _fast_read(self, start: int, size: int, ids: tuple[int, ...]) -> dict[int, Answer] | None:
         """Answers of all servos in one packet; None if it is not whole."""
         packet = self._read_packet(Instruction.FAST_SYNC_READ, start, size, ids)
-        found = self._collect(packet, 10 + len(ids) * (size + 4), lambda p: p.id == BROADCAST)
+        found = self._line.collect(packet, 10 + len(ids) * (size + 4), lambda p: p.id == BROADCAST)
         if found is None:
             return None
         parts = split_fast_status(found.parameters, size)
-        answers = {servo: _Answer(error, data) for servo, error, data in parts}
+        answers = {servo: Answer(error, data) for servo, error, data in parts}
         whole = all(len(data) == size for _, _, data in parts)
         if len(parts) != len(ids) or answers.keys() != set(ids) or not whole:
             return None
         self._fast, self._fast_failures = True, 0
         for answer in answers.values():
-            self._count_errors(answer.error)
+            self._line.count_errors(answer.error)
         return answers
 
     def _judge_fast(self, complete: bool) -> None:
@@ -339,76 +332,6 @@ class Bus:
                 self._sync_read_packets[key] = packet
         return packet
 
-    # -- the line --------------------------------------------------------------------------------
-
-    def _exchange(self, packet: bytes, ids: tuple[int, ...], size: int) -> dict[int, _Answer]:
-        """Send ``packet`` and take the status packet of each servo, until all or the time is in.
-
-        An answer that carries an error number and no data counts as one; an answer of another size
-        is none.
-        """
-        answers: dict[int, _Answer] = {}
-
-        def take(found: Packet) -> bool:
-            if found.id in ids and found.id not in answers:
-                data, error = found.data, found.error
-                if len(data) == size or (error & ~ALERT and not data):
-                    answers[found.id] = _Answer(error, data)
-                    self._count_errors(error)
-            return len(answers) == len(ids)
-
-        self._collect(packet, len(ids) * (11 + size), take, missing=len(ids), answers=answers)
-        return answers
-
-    def _collect(
-        self,
-        packet: bytes,
-        expected: int,
-        take: Callable[[Packet], bool],
-        missing: int = 1,
-        answers: dict[int, _Answer] | None = None,
-    ) -> Packet | None:
-        """Send ``packet``, give status packets to ``take`` until it says True; returns the last.
-
-        None, and a count of timeouts, where that does not happen in time. ``expected`` is the
-        number of bytes of the answer.
-        """
-        self._settle()
-        self._port.clear()
-        self._parser.clear()
-        self._send(packet)
-        wire = (len(packet) + expected) * _BITS_PER_BYTE / self._port.baudrate
-        deadline = time.monotonic() + self.timeout + wire
-        while data := self._port.receive(deadline):
-            self._counts.bytes_received += len(data)
-            for found in self._parser.feed(data):
-                if found.instruction == Instruction.STATUS and take(found):
-                    return found
-            if time.monotonic() > deadline:  # a babbling line must not hold us
-                break
-        self._counts.timeouts += missing - len(answers or ())
-        self._unsettled = True
-        return None
-
-    def _settle(self) -> None:
-        """After a timeout, let a late answer pass before the next instruction."""
-        if not self._unsettled:
-            return
-        self._unsettled = False
-        end = time.monotonic() + self.timeout
-        while time.monotonic() < end and self._port.receive(time.monotonic() + QUIET):
-            pass
-
-    def _send(self, packet: bytes) -> None:
-        self._port.send(packet, self.timeout)
-        self._counts.packets += 1
-        self._counts.bytes_sent += len(packet)
-
-    def _count_errors(self, error: int) -> None:
-        if error:
-            self._counts.alerts += bool(error & ALERT)
-            self._counts.status_errors += bool(error & ~ALERT)
-
     def _raw_values(self, register: Register, value: ArrayLike, count: int) -> np.ndarray:
         if not register.writable:
             raise InvalidInput(f"{register.name} is read-only")
@@ -420,33 +343,6 @@ class Bus:
         return np.broadcast_to(raw.reshape(-1), (count,))
 
 
-def _readings(
-    registers: Sequence[Register],
-    ids: tuple[int, ...],
-    start: int,
-    size: int,
-    answers: dict[int, _Answer],
-) -> list[Readings]:
-    """Cut the answers of ``size`` bytes from ``start`` into registers."""
-    now, empty, none = time.monotonic(), bytes(size), _Answer(0, b"")
-    rows = [answers.get(servo, none) for servo in ids]
-    good = [bool(row.data) and not row.error & ~ALERT for row in rows]
-    block = np.frombuffer(
-        b"".join(row.data if fine else empty for row, fine in zip(rows, good, strict=True)),
-        np.uint8,
-    ).reshape(len(ids), size)
-    ok = np.array(good, bool)
-    error = np.array([row.error for row in rows], np.int64)
-    found = []
-    for register in registers:
-        at = register.address - start
-        kind = f"<{'i' if register.signed else 'u'}{register.size}"
-        column = np.ascontiguousarray(block[:, at : at + register.size])
-        raw = column.view(kind)[:, 0].astype(np.int64)
-        found.append(Readings(register, ids, raw, ok, (error & ALERT) != 0, error & ~ALERT, now))
-    return found
-
-
 def _raise_refusal(error: int, servo: int, what: str) -> None:
     if error & ~ALERT:
         raise ServoError(
@@ -455,18 +351,3 @@ def _raise_refusal(error: int, servo: int, what: str) -> None:
             status=error & ~ALERT,
             alert=bool(error & ALERT),
         )
-
-
-def _checked_id(servo: int) -> int:
-    if isinstance(servo, bool) or not isinstance(servo, (int, np.integer)):
-        raise InvalidInput(f"servo ID is {servo!r}; expected a whole number, 0 to {MAX_ID}")
-    if not 0 <= servo <= MAX_ID:
-        raise InvalidInput(f"servo ID is {servo}; expected 0 to {MAX_ID}")
-    return int(servo)
-
-
-def _checked_ids(ids: Iterable[int]) -> tuple[int, ...]:
-    found = tuple(_checked_id(servo) for servo in ids)
-    if not found or len(set(found)) != len(found):
-        raise InvalidInput(f"servo IDs are {found}; expected at least one, none of them twice")
-    return found

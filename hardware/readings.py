@@ -1,14 +1,18 @@
-"""What the bus hands out: readings of registers per servo, pings, and counts of what went wrong."""
+"""What the bus hands out: readings of registers per servo, pings, counts of what went wrong."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from dexctl.exceptions import InvalidInput
 from dexctl.state import Bools, Floats
-from hardware.registers import Register
+from hardware.protocol import MAX_ID
+from hardware.registers import ALERT, Register
 
 
 @dataclass
@@ -88,3 +92,59 @@ class Readings:
     def missing(self) -> tuple[int, ...]:
         """IDs of the servos without a value."""
         return tuple(np.array(self.ids)[~self.ok].tolist())
+
+
+class Answer(NamedTuple):
+    """What one servo answered.
+
+    Attributes:
+        error: the error byte, alert bit included.
+        data: what it was asked for; empty where it refused.
+    """
+
+    error: int
+    data: bytes
+
+
+def cut_readings(
+    registers: Sequence[Register],
+    ids: tuple[int, ...],
+    start: int,
+    size: int,
+    answers: dict[int, Answer],
+) -> list[Readings]:
+    """Readings of ``registers`` out of answers of ``size`` bytes from address ``start`` on."""
+    now, empty, none = time.monotonic(), bytes(size), Answer(0, b"")
+    rows = [answers.get(servo, none) for servo in ids]
+    good = [bool(row.data) and not row.error & ~ALERT for row in rows]
+    block = np.frombuffer(
+        b"".join(row.data if fine else empty for row, fine in zip(rows, good, strict=True)),
+        np.uint8,
+    ).reshape(len(ids), size)
+    ok = np.array(good, bool)
+    error = np.array([row.error for row in rows], np.int64)
+    found = []
+    for register in registers:
+        at = register.address - start
+        kind = f"<{'i' if register.signed else 'u'}{register.size}"
+        column = np.ascontiguousarray(block[:, at : at + register.size])
+        raw = column.view(kind)[:, 0].astype(np.int64)
+        found.append(Readings(register, ids, raw, ok, (error & ALERT) != 0, error & ~ALERT, now))
+    return found
+
+
+def checked_id(servo: int) -> int:
+    """The ID of one servo, or InvalidInput."""
+    if isinstance(servo, bool) or not isinstance(servo, (int, np.integer)):
+        raise InvalidInput(f"servo ID is {servo!r}; expected a whole number, 0 to {MAX_ID}")
+    if not 0 <= servo <= MAX_ID:
+        raise InvalidInput(f"servo ID is {servo}; expected 0 to {MAX_ID}")
+    return int(servo)
+
+
+def checked_ids(ids: Iterable[int]) -> tuple[int, ...]:
+    """IDs of several servos, or InvalidInput."""
+    found = tuple(checked_id(servo) for servo in ids)
+    if not found or len(set(found)) != len(found):
+        raise InvalidInput(f"servo IDs are {found}; expected at least one, none of them twice")
+    return found

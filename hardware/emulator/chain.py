@@ -52,13 +52,15 @@ class Chain:
         self.silent: set[int] = set()
         self.servos = [Servo(numbers[i], joints, i, at[i], way[i]) for i in range(count)]
         self.now = 0.0
+        self._found: dict[int, Servo] = {}
 
     def servo(self, number: int) -> Servo | None:
         """The servo of that ID, if it is there and hears."""
-        for servo in self.servos:
-            if servo.number == number:
-                return servo if self._hears(servo) else None
-        return None
+        servo = self._found.get(number)
+        if servo is None or servo.number != number:  # IDs can be written
+            self._found = {servo.number: servo for servo in reversed(self.servos)}
+            servo = self._found.get(number)
+        return servo if servo is not None and self._hears(servo) else None
 
     def advance(self, now: float) -> None:
         """Let the joints move up to time ``now`` [s]."""

@@ -60,7 +60,9 @@ class Servo:
 
     def get(self, register: Register) -> int:
         """Raw value of a register."""
-        return register.decode(bytes(self.table[register.address : register.end]))
+        at = register.address
+        data = self.table[at : at + register.size]
+        return int.from_bytes(data, "little", signed=register.signed)
 
     def put(self, register: Register, raw: int) -> None:
         """Set a raw value, whatever the rules for writing say."""
@@ -112,7 +114,10 @@ class Servo:
         for register, raw in fields:
             self.put(register, raw)
             self._after_write(register, raw)
-        self._command()
+        if len(fields) == 1 and fields[0][0] is R.GOAL_POSITION:  # what every control step writes
+            self.joints.commands.goal[self.row] = self._shaft(fields[0][1])
+        else:
+            self._command()
         return self.error
 
     def _refusal(self, register: Register, raw: int) -> int:

@@ -94,7 +94,7 @@ def test_bad_arguments(bus: Bus, emulator: Emulator) -> None:
         ({"baudrate": 12345}, "baudrate is 12345; expected one of 9600"),
     ):
         with pytest.raises(InvalidInput, match=text):
-            Bus(emulator.port, [1], **settings)
+            Bus(emulator.port, [1], **settings)  # type: ignore[arg-type]
 
 
 def test_checked_writes_are_confirmed_or_refused(bus: Bus) -> None:

@@ -74,7 +74,7 @@ def test_settings_that_make_no_sense() -> None:
         ({"dynamics": "mujoco", "object": "teapot"}, "unknown object 'teapot'"),
     ):
         with pytest.raises(BusError, match=text):
-            Emulator(**settings)
+            Emulator(**settings)  # type: ignore[arg-type]
 
 
 def test_side_channel_refuses(emulator: Emulator) -> None:
