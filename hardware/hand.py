@@ -26,6 +26,7 @@ from hardware.registers import OperatingMode, Register
 from hardware.samples import Health, JointSample, TorqueReport
 from hardware.tactile import NoTactile, TactileReading, TactileSource
 from hardware.ticker import Ticker
+from hardware.units import ServoGains
 
 CONTROL_PERIOD = 0.02
 _PATIENCE = 5  # how often a servo is asked, beyond the bus's own retries, before torque is on
@@ -39,6 +40,7 @@ class ServoHand:
         hand: the model.
         calibration: how joints lie on servos; default servos 1 to d, straight.
         limits: speed, torque and the rest.
+        gains: of the position loop; default: as they are in the servos.
         tactile: what the fingertips feel; default nothing.
         control_period: time of one :meth:`step`, and what the speed limit reckons with [s].
 
@@ -59,6 +61,7 @@ class ServoHand:
         calibration: Calibration | None = None,
         *,
         limits: Limits | None = None,
+        gains: ServoGains | None = None,
         tactile: TactileSource | None = None,
         control_period: float = CONTROL_PERIOD,
     ) -> None:
@@ -66,6 +69,7 @@ class ServoHand:
         self.hand = hand
         self.calibration = (calibration or Calibration.nominal(hand)).check(hand)
         self.limits = limits or Limits()
+        self.gains = gains
         self.tactile = tactile or NoTactile(hand.n_fingers)
         self._ticker = Ticker(control_period)
         self.control_period = control_period
@@ -117,6 +121,10 @@ class ServoHand:
         self._set(registers.GOAL_POSITION, position)
         self._set(registers.PROFILE_ACCELERATION, 0.0)
         self._set(registers.PROFILE_VELOCITY, self.limits.speed)
+        if self.gains is not None:
+            self._set(registers.POSITION_P_GAIN, float(self.gains.p))
+            self._set(registers.POSITION_D_GAIN, float(self.gains.d))
+            self._set(registers.POSITION_I_GAIN, 0.0)
         self._set(registers.GOAL_CURRENT, self.calibration.current(self.limits.torque))
 
     def configure(self) -> None:
@@ -154,11 +162,12 @@ class ServoHand:
 
     def _must(self, register: Register) -> Floats:
         """The register of every servo; ServoError where one does not answer."""
+        readings = self.bus.read(register, self._ids)
         for _ in range(_PATIENCE):  # nothing moves yet, so there is time to ask again
-            readings = self.bus.read(register, self._ids)
             if readings.ok.all():
                 return readings.value
-        silent = readings.missing
+            readings = self.bus.read(register, self._ids)
+        silent = readings.missing or (self._ids[0],)
         raise ServoError(
             f"no answer from servo {', '.join(map(str, silent))} about {register.name}: check "
             "cable, power and ID",

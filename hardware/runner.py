@@ -28,6 +28,7 @@ from hardware.ticker import Interrupts, Ticker, spread, undisturbed
 from hardware.worker import Command, ControllerThread, warm_up
 
 HOLD_SECONDS = 0.2
+SETTLE_SECONDS = 1.0  # after an approach: time for the grasp to close
 
 
 class Runner:
@@ -40,6 +41,7 @@ class Runner:
         log: where ticks and events go.
         extra: asked once a tick, goes into the log beside the rest.
         seed: the controller is reset with it.
+        on_tick: told (time [s], q, q_target sent) of every tick in which the controller runs.
         on_event: told of every event that is new, for people.
 
     Raises:
@@ -55,6 +57,7 @@ class Runner:
         log: LogWriter | None = None,
         extra: Callable[[], Mapping[str, Any]] | None = None,
         seed: int | None = 0,
+        on_tick: Callable[[float, Floats, Floats], None] | None = None,
         on_event: Callable[[RunEvent], None] | None = None,
     ) -> None:
         if not np.isclose(controller.control_period, hand.control_period):
@@ -66,7 +69,7 @@ class Runner:
             raise InvalidInput("the controller is made for another hand: joint names differ")
         self._hand, self._controller, self._log = hand, controller, log
         self._needs_tactile, self._seed = needs_tactile, seed
-        self._on_event, self._extra = on_event, extra
+        self._on_event, self._on_tick, self._extra = on_event, on_tick, extra
         self._interrupts = Interrupts()
         self.state = State.IDLE
 
@@ -121,6 +124,7 @@ class _Run:
         self.ticker = Ticker(self.hand.control_period)
         self.start = time.monotonic()
         self.run_until = np.inf
+        self.start_at: float | None = None
         self.release_at: float | None = None
         self.done = False
         self.lookout = Lookout(self.hand, self.happen)
@@ -169,6 +173,8 @@ class _Run:
             self.lookout.at_health()
             if not self.done:
                 self.drive(sample)
+            if self.runner._on_tick is not None and self.state is State.RUN:
+                self.runner._on_tick(sample.time - self.start, sample.q, self.hand.q_target)
             self.write_log(sample)
         except PortLost as error:
             self.happen(Event.UNPLUGGED, str(error))
@@ -182,9 +188,14 @@ class _Run:
         """Send what is to be sent in this state."""
         hand = self.hand
         if self.state is State.ARMED:
-            if self.approach is None or np.abs(self.approach - hand.q_target).max() < 1e-6:
+            there = self.approach is None or np.abs(self.approach - hand.q_target).max() < 1e-6
+            if there and self.approach is not None and self.start_at is None:
+                self.start_at = time.monotonic() + SETTLE_SECONDS
+            if there and (self.start_at is None or time.monotonic() >= self.start_at):
                 self.happen(Event.START, type(self.runner._controller).__name__)
                 self.run_until = time.monotonic() + self.seconds
+            elif there or self.approach is None:
+                hand.hold()
             else:
                 hand.write(self.approach)
                 limited = hand.limited
@@ -192,6 +203,7 @@ class _Run:
                     # it would never get there
                     self.approach = np.where(limited.out_of_range, hand.q_target, self.approach)
                     self.lookout.at_limits()
+            if self.state is State.ARMED:
                 return
         if self.state is State.RUN:
             self.ask_controller(sample)
@@ -262,9 +274,11 @@ class _Run:
         if found.final in (State.HOLD, State.FAULT) and _worse(found.final, self.report.outcome):
             self.report.outcome, self.report.cause = found.final, event
         now = time.monotonic()
+        if found.action is Action.FREEZE:  # held for as long as the run would have taken
+            self.run_until = min(self.run_until, now + self.seconds)
         if found.action is Action.FREEZE_THEN_RELEASE:
             self.release_at = now + HOLD_SECONDS if self.release_at is None else self.release_at
-        elif found.action in (Action.RELEASE, Action.RELEASE_BLIND):
+        if found.action in (Action.RELEASE, Action.RELEASE_BLIND):
             self.done = True
         self.tell(event, ". ".join(part for part in (detail, found.advice) if part))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +33,7 @@ Deed = Callable[[], object]
 class Saboteur(Controller):
     """Asks for nothing, and does a deed when it is asked for the n-th time."""
 
-    def __init__(self, hand: dexctl.HandModel, deeds: dict[int, Deed]) -> None:
+    def __init__(self, hand: dexctl.HandModel, deeds: Mapping[int, Deed]) -> None:
         super().__init__(hand, control_period=PERIOD)
         self.deeds, self.asked, self.warm = deeds, 0, True
 
@@ -69,7 +69,7 @@ def hand_on(bus: Bus, dex5: dexctl.HandModel, limits: Limits = PATIENT) -> Servo
 def run(
     bus: Bus,
     dex5: dexctl.HandModel,
-    deeds: dict[int, Deed],
+    deeds: Mapping[int, Deed],
     *,
     limits: Limits = PATIENT,
     seconds: float = 0.6,

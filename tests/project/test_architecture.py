@@ -38,7 +38,7 @@ ALLOWED = {
     "sim": {"base", "sim"},
     "application": {*INSIDE, "application", "dexctl"},
     "learning": {*INSIDE, "dexctl", "learning"},
-    "hardware": {*INSIDE, "dexctl", "hardware"},
+    "hardware": {*INSIDE, "application", "dexctl", "hardware"},  # its commands print and report
 }
 DOORS = {
     "pinocchio": ["dexctl/hand.py"],
