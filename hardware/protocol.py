@@ -170,9 +170,8 @@ class Parser:
     """Takes bytes as they come and gives the packets in them.
 
     Bytes that belong to no packet, damaged packets and packets of impossible length are skipped
-    and counted; a good packet after them is found however they are cut. The work for n bytes is
-    O(n) in the number of header candidates, and at most `MAX_LENGTH` + 7 bytes wait for the rest
-    of a packet.
+    and counted; a good packet after them is found however they are cut. At most `MAX_LENGTH` + 7
+    bytes wait for the rest of a packet, and each header seen costs at most one CRC of that many.
 
     Attributes:
         crc_errors: packets whose CRC was wrong.

@@ -67,7 +67,9 @@ def test_it_grips_and_then_holds_by_itself(hand: Emulator) -> None:
         bus.write(R.TORQUE_ENABLE, 0)
         hand.advance(1.5)
         feel = hand.touch()
-        assert feel is not None and np.linalg.norm(np.subtract(feel["object_position"], start)) > 0.01
+        assert (
+            feel is not None and np.linalg.norm(np.subtract(feel["object_position"], start)) > 0.01
+        )
 
 
 def test_same_trace_as_the_bare_simulator() -> None:
