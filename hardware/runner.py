@@ -270,6 +270,7 @@ class _Run:
             if event in COUNTED and self.report.counts[event] == 1:
                 self.tell(event, detail)
             return
+        known = self.state is found.state and self.report.counts[event] > 1
         self.state = self.runner.state = found.state
         if found.final in (State.HOLD, State.FAULT) and _worse(found.final, self.report.outcome):
             self.report.outcome, self.report.cause = found.final, event
@@ -280,7 +281,8 @@ class _Run:
             self.release_at = now + HOLD_SECONDS if self.release_at is None else self.release_at
         if found.action in (Action.RELEASE, Action.RELEASE_BLIND):
             self.done = True
-        self.tell(event, ". ".join(part for part in (detail, found.advice) if part))
+        if not known:
+            self.tell(event, ". ".join(part for part in (detail, found.advice) if part))
 
     def tell(self, event: Event, detail: str) -> None:
         said = RunEvent(
