@@ -86,7 +86,7 @@ def test_a_noisy_line_gives_no_wrong_value(emulator: Emulator) -> None:
 def test_a_late_answer_is_not_taken_for_the_next(emulator: Emulator) -> None:
     with Bus(emulator.port, [1, 2], timeout=0.2, retries=0) as bus:
         bus.write(R.GOAL_POSITION, [0.5, 0.6])
-        emulator.delay(0.3)
+        emulator.delay(1.5)
         assert bus.read(R.GOAL_POSITION).missing == (1, 2)
         emulator.delay(0.0)
         sent = bus.write(R.GOAL_POSITION, [1.5, 1.6])
