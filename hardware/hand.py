@@ -183,7 +183,7 @@ class ServoHand:
         """Write a register of all servos, read it back and compare."""
         values = np.broadcast_to(np.asarray(value, float), len(self._ids))
         wanted = register.to_raw(values)
-        for _ in range(3):  # a sync write has no answer, so one that got lost shows only here
+        for _ in range(_PATIENCE):  # a sync write that got lost shows only here
             self.bus.write(register, values, self._ids)
             found = register.to_raw(self._must(register))
             if (found == wanted).all():
@@ -335,7 +335,7 @@ class ServoHand:
 
     # letting go
 
-    def disarm(self, attempts: int = 3) -> TorqueReport:
+    def disarm(self, attempts: int = 10) -> TorqueReport:
         """Torque off, confirmed servo by servo. Never raises; says what is known."""
         off = np.zeros(len(self._ids), bool)
         reason = ""
