@@ -1,1 +1,4 @@
-"""Real servo hands as plants for dexctl's controllers."""
+"""Controllers on real servo hands: bus, driver, runner, logs, and an emulator of all of it.
+
+Start with `hardware.hand.ServoHand` and `hardware.runner.Runner`, or `dexctl hardware --help`.
+"""

@@ -21,6 +21,7 @@ RUNS: dict[str, list[str]] = {
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "ablation.py": [*SHORT, "--variants", "complete", "no_governor"],
     "allegro.py": SHORT,
+    "bus.py": ["--cycles", "20", "--rounds", "2"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
 }
 
@@ -44,6 +45,8 @@ def test_every_script_is_run_here() -> None:
 @pytest.mark.parametrize("script", RUNS)
 def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     arguments = [*RUNS[script], "--out", tmp_path]
+    if script == "bus.py":
+        pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     if script == "allegro.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]
     done = run(script, *arguments)

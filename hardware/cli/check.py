@@ -1,0 +1,267 @@
+"""``dexctl hardware check``: is everything there, healthy, set and quick enough."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dexctl.cli.output import notes, print_json, results
+from dexctl.exceptions import InvalidInput
+from dexctl.state import Floats
+from hardware import registers
+from hardware.bus import Bus
+from hardware.cli.options import HandOptions
+from hardware.exceptions import ServoError
+from hardware.hand import ServoHand
+from hardware.machine import Torque
+from hardware.registers import MODEL_NUMBER, OperatingMode, describe_hardware_error
+from hardware.ticker import Interrupts, spread
+
+_CYCLES = 200
+_MOVE = 0.12  # [rad]
+_MOVE_SECONDS = 0.5
+_SLOW = 0.005  # a cycle of more than this suggests a latency timer or return delay [s]
+_HINT = "slow bus: set the USB adapter's latency timer to 1 ms and the servos' return delay to 0"
+
+
+@dataclass(kw_only=True)
+class Check(HandOptions):
+    """Look at every servo; with --move, move one joint at a time.
+
+    Nothing moves and no torque is on unless --move is given. Exit code 1 where something is wrong.
+    """
+
+    move: bool = False
+    """Move each joint by 0.12 rad and back, so that a wrong joint map shows."""
+    reboot: int | None = None
+    """Restart this servo first: clears a hardware error once its cause is gone."""
+    json: bool = False
+    """Print one JSON object instead of the table."""
+
+    def run(self) -> int:
+        self.check()
+        if self.reboot is not None and not 0 <= self.reboot <= 252:
+            raise InvalidInput(f"--reboot is {self.reboot}; expected an ID from 0 to 252")
+        with self.open(self.limits(), 0.02) as session:
+            look = _Look(session.hand)
+            if self.reboot is not None:
+                session.bus.reboot(self.reboot)
+                notes().print(f"servo {self.reboot} restarted; it counts turns anew")
+            look.at_servos(session.bus)
+            if not look.silent:
+                look.at_settings()
+                look.at_latency(session.bus)
+                if self.move and not look.problems:
+                    look.at_motion()
+        if self.json:
+            print_json(look.as_dict())
+        else:
+            look.print()
+        return 1 if look.problems else 0
+
+
+@dataclass
+class _Look:
+    """What has been found."""
+
+    hand: ServoHand
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    silent: list[int] = field(default_factory=list)
+    latency: dict[str, float] = field(default_factory=dict)
+    fast: bool | None = None
+    moved: list[dict[str, Any]] = field(default_factory=list)
+    torque: str = ""
+
+    def at_servos(self, bus: Bus) -> None:
+        """Ping each by itself, then ask those that are there."""
+        calibration = self.hand.calibration
+        for joint, servo in zip(calibration.joint_names, calibration.servo.tolist(), strict=True):
+            row: dict[str, Any] = {"servo": servo, "joint": joint}
+            self.rows.append(row)
+            try:
+                ping = bus.ping(servo)
+            except ServoError:
+                self.silent.append(servo)
+                self.problems.append(f"servo {servo} ({joint}) does not answer")
+                continue
+            row |= {"model": ping.model, "firmware": ping.firmware}
+            if ping.model != MODEL_NUMBER:
+                self.problems.append(
+                    f"servo {servo} ({joint}) has model {ping.model}; expected {MODEL_NUMBER}, an "
+                    "XM430-W210"
+                )
+            voltage, temperature, error = (
+                bus.read(register, [servo])
+                for register in (
+                    registers.PRESENT_VOLTAGE,
+                    registers.PRESENT_TEMPERATURE,
+                    registers.HARDWARE_ERROR,
+                )
+            )
+            row["voltage_v"] = float(voltage.value[0])
+            row["temperature_c"] = float(temperature.value[0])
+            row["error"] = describe_hardware_error(int(error.raw[0])) if error.ok[0] else "?"
+            self._judge(row)
+
+    def _judge(self, row: dict[str, Any]) -> None:
+        limits, who = self.hand.limits, f"servo {row['servo']} ({row['joint']})"
+        if row["error"]:
+            self.problems.append(
+                f"{who}: {row['error']}; remove the cause, then: dexctl hardware check --reboot "
+                f"{row['servo']}"
+            )
+        low, high = limits.voltage
+        if not low <= row["voltage_v"] <= high:
+            self.problems.append(f"{who}: {row['voltage_v']:.1f} V; expected {low} to {high}")
+        if not row["temperature_c"] < limits.temperature:
+            self.problems.append(f"{who}: {row['temperature_c']:.0f} C")
+
+    def at_settings(self) -> None:
+        """Torque off, settings written and read back, turns resolved."""
+        try:
+            self.hand.configure()
+            sample = self.hand.sample()
+        except (ServoError, InvalidInput) as error:
+            self.problems.append(str(error))
+            return
+        mode = int(OperatingMode.CURRENT_BASED_POSITION)
+        for row, q in zip(self.rows, sample.q.tolist(), strict=True):
+            row |= {"position_rad": q, "mode": mode, "torque_limit_nm": self.hand.limits.torque}
+
+    def at_latency(self, bus: Bus) -> None:
+        """Time of reading currents, velocities and positions of all servos and writing goals."""
+        if self.problems:
+            return
+        ids = self.hand.calibration.servo.tolist()
+        wanted = [
+            registers.PRESENT_CURRENT,
+            registers.PRESENT_VELOCITY,
+            registers.PRESENT_POSITION,
+        ]
+        goal = bus.read(registers.PRESENT_POSITION, ids).value
+        times = []
+        for _ in range(_CYCLES):
+            start = time.perf_counter()
+            bus.read_many(wanted, ids)
+            bus.write(registers.GOAL_POSITION, goal, ids)  # torque is off: nothing moves
+            times.append(time.perf_counter() - start)
+        self.latency, self.fast = spread(times), bus.fast
+        if self.latency["p50"] > _SLOW:
+            self.problems.append(f"{1e3 * self.latency['p50']:.1f} ms a cycle: {_HINT}")
+
+    def at_motion(self) -> None:
+        """Move one joint at a time, and see which one moves."""
+        hand = self.hand
+        with Interrupts() as interrupts:
+            try:
+                hand.arm()
+                start = hand.q_target.copy()
+                for joint, name in enumerate(hand.hand.joint_names):
+                    if interrupts.count:
+                        self.problems.append("interrupted")
+                        break
+                    notes().print(f"moving {name}")
+                    self._move(joint, name, start)
+                    if trouble := self._trouble():
+                        self.problems.append(f"stopped at {name}: {trouble}")
+                        break
+            finally:
+                report = hand.disarm()
+                self.torque = report.message
+                if report.state is not Torque.OFF:
+                    self.problems.append(report.message)
+
+    def _move(self, joint: int, name: str, start: Floats) -> None:
+        hand = self.hand
+        # towards the middle of the range, where there is room
+        middle = 0.5 * (hand.calibration.lower + hand.calibration.upper)
+        goal = start.copy()
+        goal[joint] += np.copysign(_MOVE, middle[joint] - start[joint])
+        before = hand.sample().q
+        self._go(goal)
+        after = hand.sample().q
+        self._go(start)
+        change, asked = after - before, goal[joint] - start[joint]
+        strayed = np.abs(change) > 0.25 * _MOVE
+        strayed[joint] = False
+        self.moved.append({"joint": name, "asked_rad": asked, "moved_rad": float(change[joint])})
+        if abs(change[joint] - asked) > 0.25 * _MOVE:
+            self.problems.append(
+                f"{name} was asked to move by {asked:.2f} rad and moved by {change[joint]:.2f}: "
+                "blocked, weak, or not on its servo"
+            )
+        for other in np.flatnonzero(strayed):
+            self.problems.append(
+                f"{hand.hand.joint_names[other]} moved by {change[other]:.2f} rad with {name}"
+            )
+
+    def _trouble(self) -> str:
+        """Why no more joints should be moved, "" for nothing."""
+        for _ in range(3):  # one question per call
+            health = self.hand.health()
+        if health.watchdog.any():
+            return "the bus was silent for too long, its watchdog tripped"
+        if (health.error > 0).any() or health.limp.any():
+            return "a servo has let go"
+        return ""
+
+    def _go(self, goal: Floats) -> None:
+        end = time.monotonic() + _MOVE / self.hand.limits.speed + _MOVE_SECONDS
+        while time.monotonic() < end:
+            self.hand.sample()
+            self.hand.write(goal)
+            self.hand.step()
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "command": "check",
+            "servos": self.rows,
+            "cycle_s": self.latency,
+            "fast_sync_read": self.fast,
+            "moved": self.moved,
+            "torque": self.torque,
+            "problems": self.problems,
+        }
+
+    def print(self) -> None:
+        """As a table."""
+        from rich.table import Table
+
+        console = results()
+        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        for heading in ("servo", "joint", "model", "firmware", "V", "C", "rad", "error"):
+            table.add_column(heading, justify="left" if heading in ("joint", "error") else "right")
+        for row in self.rows:
+            table.add_row(
+                str(row["servo"]),
+                row["joint"],
+                str(row.get("model", "silent")),
+                str(row.get("firmware", "")),
+                f"{row['voltage_v']:.1f}" if "voltage_v" in row else "",
+                f"{row['temperature_c']:.0f}" if "temperature_c" in row else "",
+                f"{row['position_rad']:.3f}" if "position_rad" in row else "",
+                row.get("error", ""),
+            )
+        console.print(table)
+        if self.latency:
+            console.print(
+                f"read and write of all: {1e3 * self.latency['p50']:.2f} ms median, "
+                f"{1e3 * self.latency['p99']:.2f} ms p99 (fast sync read: "
+                f"{'yes' if self.fast else 'no'})"
+            )
+        for moved in self.moved:
+            console.print(
+                f"{moved['joint']}: asked {moved['asked_rad']:+.3f} rad, moved "
+                f"{moved['moved_rad']:+.3f}"
+            )
+        if self.torque:
+            console.print(self.torque)
+        for problem in self.problems:
+            console.print(f"[bold]problem:[/bold] {problem}", soft_wrap=True)
+        if not self.problems:
+            console.print("all is well")

@@ -1,0 +1,97 @@
+"""``dexctl hardware latency``: how much later a joint does what its set-point did."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dexctl.cli.output import notes, print_json, results
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.state import Floats
+from hardware.cli.options import HandOptions
+from hardware.machine import State
+from hardware.motions import StepAndChirp, lag
+from hardware.runner import Runner
+
+_MOVED = 0.003  # two ticks of the servo: a joint that is this far has begun to move [rad]
+
+
+@dataclass(kw_only=True)
+class Latency(HandOptions):
+    """Measure the delay between set-points and joints with a step and a chirp.
+
+    The delay of the chirp is where the cross-correlation of the two motions is greatest; it holds
+    the servo's own lag too, which a faster loop does not take away. The delay of the step is the
+    time until the joint has begun to move.
+    """
+
+    joint: str | None = None
+    """Which joint moves, by 0.09 rad; default the first."""
+    rate: float = 100.0
+    """Control rate [Hz]."""
+    json: bool = False
+    """Print one JSON object instead of the summary."""
+
+    def run(self) -> int:
+        self.check()
+        if not (np.isfinite(self.rate) and 10.0 <= self.rate <= 500.0):
+            raise InvalidInput(f"--rate is {self.rate}; expected 10 to 500 Hz")
+        model, _ = self.load()
+        names = list(model.joint_names)
+        if self.joint is not None and self.joint not in names:
+            raise UnknownName("joint", self.joint, names)
+        joint = 0 if self.joint is None else names.index(self.joint)
+        period = 1.0 / self.rate
+        motion = StepAndChirp(model, joint, control_period=period)
+        samples: list[tuple[float, float, float]] = []
+        with self.open(self.limits(), period) as session:
+            hand, console = session.hand, notes()
+
+            def keep(time: float, q: Floats, q_target: Floats) -> None:
+                samples.append((time, float(q_target[joint]), float(q[joint])))
+
+            runner = Runner(
+                hand,
+                motion,
+                needs_tactile=False,
+                on_tick=keep,
+                on_event=lambda said: console.print(f"{said.event.value}: {said.detail}"),
+            )
+            found = runner.run(motion.seconds)
+        if found.outcome is not State.IDLE or len(samples) < 100:
+            why = found.cause.value if found.cause else "interrupted"
+            notes().print(f"no measurement: {why}; {found.torque_message}")
+            return 1
+        step, chirp = delays(np.array(samples), motion.STEP_SECONDS, period)
+        if self.json:
+            print_json(
+                {
+                    "command": "latency",
+                    "joint": names[joint],
+                    "rate_hz": self.rate,
+                    "step_delay_s": step,
+                    "chirp_delay_s": chirp,
+                    "figures_s": found.figures,
+                    "torque": found.torque_message,
+                }
+            )
+        else:
+            results().print(
+                f"{names[joint]}: step {1e3 * step:.0f} ms until it moves, chirp "
+                f"{1e3 * chirp:.0f} ms behind; {found.torque_message}"
+            )
+        return 0
+
+
+def delays(samples: Floats, step_seconds: float, period: float) -> tuple[float, float]:
+    """Delay of step and chirp [s] from rows of (time, set-point, joint); NaN: it did not move."""
+    time, sent, came = samples.T
+    early = time < time[0] + step_seconds
+    asked = np.flatnonzero(np.abs(sent - sent[0]) > _MOVED)
+    moved = np.flatnonzero(np.abs(came - came[0]) > _MOVED)
+    step = float(time[moved[0]] - time[asked[0]]) if len(asked) and len(moved) else float("nan")
+    # ticks may have been left out: put the chirp on an even grid first
+    grid = np.arange(time[~early][0], time[-1], period)
+    chirp = lag(np.interp(grid, time, sent), np.interp(grid, time, came), period)
+    return step, chirp

@@ -1,0 +1,223 @@
+"""What the hardware commands share: which hand on which port, and opening it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dexctl import HandModel, hands
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.state import Floats
+from hardware.bus import Bus
+from hardware.calibration import Calibration
+from hardware.emulated_touch import EmulatedTactile
+from hardware.emulator import Emulator
+from hardware.hand import ServoHand
+from hardware.limits import Limits
+from hardware.tactile import SerialTactile, TactileSource
+from hardware.units import ServoGains, SimGains, to_servo
+
+_TIMEOUT = 0.01  # beyond the time on the wire, until a servo counts as silent [s]
+_EMULATED_TIMEOUT = 0.03  # the emulator is one more process, on a machine that may be busy [s]
+
+
+class Session(NamedTuple):
+    """A hand that is open.
+
+    Attributes:
+        model: the hand's kinematics.
+        bus: open.
+        hand: not armed.
+        emulator: None on a real hand.
+        tactile: what the fingertips feel, or None.
+        grasp: set-points of a grasp around the object, ``(d,)`` [rad], or None.
+    """
+
+    model: HandModel
+    bus: Bus
+    hand: ServoHand
+    emulator: Emulator | None
+    tactile: TactileSource | None
+    grasp: Floats | None
+
+
+@dataclass(kw_only=True)
+class HandOptions:
+    """Which hand, where."""
+
+    hand: str = "dex5"
+    """Name of the hand (`dexctl hands` lists them)."""
+    port: str | None = None
+    """Serial port of the servos; found by itself where there is only one."""
+    emulate: bool = False
+    """Run against emulated servos instead of a hand."""
+    calibration: Path | None = None
+    """File that `dexctl hardware calibrate` wrote; default servos 1 to d, straight."""
+    baudrate: int = 4_000_000
+    """Of the servos [bit/s]."""
+    stiffness: float = 3.0
+    """Of the servos' position loop [N m/rad], by the conversion of `hardware.units`."""
+    damping: float = 0.15
+    """Of the same [N m s/rad]."""
+    patience: float = 1.0
+    """Allow so many times more silence, age and overruns, 1 to 10: to emulate on a busy machine."""
+
+    def check(self) -> None:
+        """Names and files first: they cost nothing.
+
+        Raises:
+            UnknownName, InvalidInput: an option is wrong.
+        """
+        hands.entry(self.hand)
+        if self.emulate and self.port is not None:
+            raise InvalidInput(f"--emulate and --port {self.port} are given; expected one of them")
+        if self.calibration is not None:
+            Calibration.load(self.calibration)
+        self.gains(self.limits())
+
+    def limits(self, speed: float = 0.6, torque: float = 0.5) -> Limits:
+        """Limits with these and the patience asked for.
+
+        Raises:
+            InvalidInput: out of range.
+        """
+        factor = self.patience
+        if not 1.0 <= factor <= 10.0:
+            raise InvalidInput(f"--patience is {factor}; expected 1 to 10")
+        usual = Limits()
+        warn, hold = usual.overruns
+        return Limits(
+            speed=speed,
+            torque=torque,
+            command_age=factor * usual.command_age,
+            state_age=factor * usual.state_age,
+            watchdog=factor * usual.watchdog,
+            overruns=(min(factor * warn, 1.0), min(factor * hold, 1.0)),
+        )
+
+    def gains(self, limits: Limits) -> ServoGains:
+        """Register values of stiffness and damping."""
+        return to_servo(SimGains(self.stiffness, self.damping, limits.torque, limits.speed))
+
+    def load(self) -> tuple[HandModel, Calibration]:
+        """The hand and how its joints lie on the servos."""
+        model = hands.load(self.hand)
+        if self.calibration is None:
+            return model, Calibration.nominal(model)
+        return model, Calibration.load(self.calibration).check(model)
+
+    def find_port(self) -> str:
+        """The port asked for, or the only one there is.
+
+        Raises:
+            InvalidInput: there are several, or none.
+        """
+        if self.port is not None:
+            return self.port
+        found = ports()
+        if len(found) != 1:
+            known = ", ".join(found) or "none"
+            raise InvalidInput(f"--port is not given; expected one of the ports here: {known}")
+        return found[0]
+
+    @contextmanager
+    def open(
+        self,
+        limits: Limits,
+        control_period: float,
+        *,
+        dynamics: str = "first-order",
+        object: str = "none",  # noqa: A002 (the field's name for it)
+        gravity: str = "up",
+        tactile: str | None = None,
+    ) -> Iterator[Session]:
+        """The hand, open and not armed; torque is off and the bus closed when the block ends.
+
+        Args:
+            limits: of the hand.
+            control_period: [s].
+            dynamics: of an emulated hand: "first-order" or "mujoco".
+            object: what it holds; "none" for nothing.
+            gravity: which way the palm looks, "up" or "down".
+            tactile: serial port of the fingertips.
+        """
+        model, calibration = self.load()
+        grasp = settled_grasp(model, object, gravity)
+        with ExitStack() as stack:
+            emulator, source = None, None
+            if self.emulate:
+                emulator = stack.enter_context(
+                    emulate(self.hand, calibration, dynamics, object, gravity)
+                )
+                source = EmulatedTactile(emulator) if dynamics == "mujoco" else None
+            elif tactile is not None:
+                source = SerialTactile(tactile, model.n_fingers)
+                stack.callback(source.close)
+            port = emulator.port if emulator is not None else self.find_port()
+            timeout = self.patience * (_TIMEOUT if emulator is None else _EMULATED_TIMEOUT)
+            ids = [int(servo) for servo in calibration.servo]
+            bus = stack.enter_context(Bus(port, ids, baudrate=self.baudrate, timeout=timeout))
+            hand = ServoHand(
+                bus,
+                model,
+                calibration,
+                limits=limits,
+                gains=self.gains(limits),
+                tactile=source,
+                control_period=control_period,
+            )
+            yield Session(model, bus, hand, emulator, source, grasp)
+
+
+def emulate(
+    hand: str,
+    calibration: Calibration,
+    dynamics: str,
+    object: str,  # noqa: A002 (the field's name for it)
+    gravity: str,
+) -> Emulator:
+    """Emulated servos that are mounted as ``calibration`` says."""
+    zeros = np.round(calibration.zero / (2 * np.pi / 4096)).astype(int) % 4096
+    middle = np.clip(0.0, calibration.lower, calibration.upper)
+    return Emulator(
+        len(zeros),
+        ids=calibration.servo.tolist(),
+        zeros=zeros.tolist(),
+        signs=calibration.sign.tolist(),
+        start=None if dynamics == "mujoco" else middle.tolist(),
+        dynamics=dynamics,
+        hand=hand,
+        object=object,
+        gravity=gravity,
+    )
+
+
+def settled_grasp(model: HandModel, object: str, gravity: str) -> Floats | None:  # noqa: A002
+    """Set-points of the simulated grasp of an object, ``(d,)`` [rad]; None for "none".
+
+    Raises:
+        UnknownName: no such object.
+        SimulationError: the hand cannot hold it.
+    """
+    if object == "none":
+        return None
+    from dexctl.sim import Scene, object_names
+
+    if object not in object_names():
+        raise UnknownName("object", object, ("none", *object_names()))
+    return Scene.build(model, object, gravity).settled.q_target.copy()
+
+
+def ports() -> list[str]:
+    """Serial ports of USB adapters on this machine."""
+    by_id = sorted(Path("/dev/serial/by-id").glob("*"))
+    if by_id:
+        return [str(path) for path in by_id]
+    device = Path("/dev")
+    names = (*device.glob("ttyUSB*"), *device.glob("ttyACM*"), *device.glob("cu.usb*"))
+    return sorted(str(path) for path in names)

@@ -1,0 +1,120 @@
+"""``dexctl hardware replay`` and ``report``: what can be done with a log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from dexctl.cli.output import notes, print_json, results
+from dexctl.cli.parsing import make_folder
+from dexctl.exceptions import InvalidInput
+from dexctl.state import Floats
+from hardware import report
+from hardware.cli.options import HandOptions
+from hardware.cli.run import about, finish
+from hardware.log import Log, LogWriter, read_log
+from hardware.motions import Replay
+from hardware.runner import Runner
+
+
+@dataclass(kw_only=True)
+class ReplayLog(HandOptions):
+    """Send the set-points of a log once more, to the emulator unless --port is given.
+
+    The object is not part of it: the emulated hand is empty.
+    """
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """The MCAP file of a run."""
+    out: Path = Path("out")
+    """Folder for run.mcap and report.html of the replay."""
+    json: bool = False
+    """Print one JSON object instead of the summary."""
+
+    def run(self) -> int:
+        self.emulate = self.port is None
+        self.check()
+        log = read_log(self.log)
+        period, q_target = rows_of(log)
+        model, calibration = self.load()
+        folder = make_folder(self.out)
+        target = folder / "run.mcap"
+        if target.exists() and self.log.exists() and target.samefile(self.log):
+            raise InvalidInput(f"--out is the folder of {self.log} itself; expected another one")
+        limits = self.limits(log.run["limits"]["speed"], log.run["limits"]["torque"])
+        replay = Replay(model, q_target, control_period=period)
+        with self.open(limits, period) as session, LogWriter(target) as writer:
+            writer.write("/run", about(self, f"replay of {self.log.name}", calibration, limits))
+            console = notes()
+            runner = Runner(
+                session.hand,
+                replay,
+                needs_tactile=False,
+                log=writer,
+                on_event=lambda said: console.print(f"{said.event.value}: {said.detail}"),
+            )
+            found = runner.run(len(q_target) * period, approach=q_target[0])
+        code = finish(found, folder, as_json=self.json)
+        again = read_log(target)
+        if not self.json and "q" in again.ticks:
+            results().print(f"  joints against the log   {compare(log, again):.4g} rad RMS")
+        return code
+
+
+def rows_of(log: Log) -> tuple[float, Floats]:
+    """Control period [s] and set-points ``(T, d)`` [rad] of the ticks in which it ran.
+
+    Raises:
+        InvalidInput: there are none.
+    """
+    ticks = log.ticks
+    if "state" not in ticks or "limits" not in log.run:
+        raise InvalidInput(f"{log.path} holds no run of a hand")
+    running = ticks["state"] == "run"
+    if running.sum() < 2:
+        raise InvalidInput(f"{log.path} holds {int(running.sum())} ticks of a controller")
+    period = float(np.median(np.diff(ticks["time"][running])))
+    return round(period, 4), ticks["q_target"][running]
+
+
+def compare(first: Log, second: Log) -> float:
+    """RMS difference of the joints in the ticks in which both ran [rad]."""
+    a, b = (log.ticks["q"][log.ticks["state"] == "run"] for log in (first, second))
+    count = min(len(a), len(b))
+    return float(np.sqrt(np.mean((a[:count] - b[:count]) ** 2))) if count else float("nan")
+
+
+@dataclass(kw_only=True)
+class Report:
+    """Make the report of a log, one that was cut off included."""
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """The MCAP file of a run."""
+    out: Path | None = None
+    """The HTML file; default report.html beside the log."""
+    json: bool = False
+    """Print the figures as one JSON object as well."""
+
+    def run(self) -> int:
+        log = read_log(self.log)
+        path = self.out if self.out is not None else self.log.parent / "report.html"
+        make_folder(path.parent)
+        report.write(log, path)
+        if self.json:
+            print_json(
+                {
+                    "command": "report",
+                    "report": str(path),
+                    "cut": log.cut,
+                    "summary": log.summary,
+                    "figures": report.figures_of_merit(log),
+                }
+            )
+        else:
+            cut = "; the log was cut off" if log.cut else ""
+            results().print(f"written: {path} ({len(log.ticks.get('time', ()))} ticks{cut})")
+        return 0

@@ -1,0 +1,202 @@
+"""``dexctl hardware run``: a controller on the hand, with a log and a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from dexctl import Controller, HandModel, controllers
+from dexctl.cli.output import notes, print_json, results
+from dexctl.cli.parsing import check_seconds, make_folder
+from dexctl.exceptions import InvalidInput, UnknownName
+from hardware import report
+from hardware.calibration import Calibration
+from hardware.cli.options import HandOptions, Session
+from hardware.limits import Limits
+from hardware.log import LogWriter, read_log
+from hardware.machine import Event, State
+from hardware.motions import Sine
+from hardware.run_report import RunEvent, RunReport
+from hardware.runner import Runner
+
+_BLIND = ("hold", "sine")  # controllers that do not go by touch
+INTERRUPTED = 130
+
+
+@dataclass(kw_only=True)
+class Run(HandOptions):
+    """Run a controller on the hand; log and report in a folder.
+
+    The hand first goes to the grasp of the object named, at the speed limit, while somebody (or
+    the emulator) holds the object in place; 1 s later the controller starts. Ctrl-C holds for 0.2 s
+    and takes the torque off; a second one takes it off at once.
+    """
+
+    controller: Annotated[str, tyro.conf.Positional]
+    """igm, switch, gait, coordinated, hold, sine; or module:function that makes one."""
+    seconds: float = 30.0
+    """How long the controller runs [s]."""
+    rate: float = 50.0
+    """Control rate [Hz]."""
+    object: str = "auto"
+    """What is held: cube, cylinder, sphere...; none; auto: cylinder, or none for sine."""
+    gravity: str = "up"
+    """Which way the palm looks: up or down."""
+    tactile: str | None = None
+    """Serial port of the tactile fingertips."""
+    speed: float = 0.6
+    """Speed limit of the joints [rad/s]."""
+    torque: float = 0.5
+    """Torque limit of the joints [N m]."""
+    seed: int = 0
+    """Of the controller."""
+    out: Path = Path("out")
+    """Folder for run.mcap and report.html."""
+    json: bool = False
+    """Print one JSON object instead of the summary."""
+
+    def run(self) -> int:
+        self.check()
+        if not (np.isfinite(self.rate) and 1.0 <= self.rate <= 500.0):
+            raise InvalidInput(f"--rate is {self.rate}; expected 1 to 500 Hz")
+        period = 1.0 / self.rate
+        check_seconds(self.seconds, period)
+        if self.gravity not in ("up", "down"):
+            raise UnknownName("palm direction", self.gravity, ("up", "down"))
+        limits = self.limits(self.speed, self.torque)
+        blind = self.controller in _BLIND
+        held = self.object
+        if held == "auto":
+            held = "none" if self.controller == "sine" else "cylinder"
+        if not (blind or self.emulate or self.tactile):
+            raise InvalidInput(
+                f"{self.controller} goes by touch; expected --tactile PORT (or --emulate)"
+            )
+        model, calibration = self.load()
+        controller = make_controller(self.controller, model, period)
+        folder = make_folder(self.out)
+        with ExitStack() as stack:
+            session = stack.enter_context(
+                self.open(
+                    limits,
+                    period,
+                    dynamics="mujoco",
+                    object=held,
+                    gravity=self.gravity,
+                    tactile=self.tactile,
+                )
+            )
+            log = stack.enter_context(LogWriter(folder / "run.mcap"))
+            log.write("/run", self._about(calibration, limits, held))
+            console = notes()
+            runner = Runner(
+                session.hand,
+                controller,
+                needs_tactile=not blind,
+                log=log,
+                seed=self.seed,
+                extra=lambda: truth(session),
+                on_event=lambda said: console.print(_line(said)),
+            )
+            found = runner.run(self.seconds, approach=session.grasp)
+        if not found.real_time:
+            console.print("real-time scheduling was not permitted: expect late ticks")
+        if log.error:
+            console.print(f"the log is incomplete: {log.error}")
+        return finish(found, folder, as_json=self.json)
+
+    def _about(self, calibration: Calibration, limits: Limits, held: str) -> dict[str, Any]:
+        return about(self, self.controller, calibration, limits) | {
+            "object": held,
+            "palm": self.gravity,
+            "rate_hz": self.rate,
+            "seed": self.seed,
+        }
+
+
+def about(
+    options: HandOptions, controller: str, calibration: Calibration, limits: Limits
+) -> dict[str, Any]:
+    """What a log says first."""
+    from dexctl.report.machine import machine
+
+    return {
+        "controller": controller,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "hand": options.hand,
+        "emulated": options.emulate,
+        "joints": list(calibration.joint_names),
+        "servos": calibration.servo.tolist(),
+        "calibration_date": calibration.date.isoformat(),
+        "stiffness_nm_per_rad": options.stiffness,
+        "damping_nms_per_rad": options.damping,
+        "limits": asdict(limits),
+        "machine": machine(),
+    }
+
+
+def make_controller(name: str, model: HandModel, period: float) -> Controller:
+    """The controller ``name``, or what ``module:function`` makes of (hand, control_period=...).
+
+    Raises:
+        UnknownName: no such controller, module or function.
+        InvalidInput: the function makes something else.
+    """
+    if ":" not in name:
+        if name == "sine":
+            return Sine(model, control_period=period)
+        if name not in controllers.names():
+            raise UnknownName("controller", name, (*controllers.names(), "sine", "module:function"))
+        return controllers.make(name, model, control_period=period)
+    module, _, attribute = name.partition(":")
+    try:
+        make = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InvalidInput(f"controller is {name!r}; it cannot be loaded: {error}") from None
+    made = make(model, control_period=period)
+    if not isinstance(made, Controller):
+        raise InvalidInput(f"{name} made a {type(made).__name__}; expected a dexctl.Controller")
+    return made
+
+
+def truth(session: Session) -> Mapping[str, Any]:
+    """The object's pose where an emulator knows it."""
+    return getattr(session.tactile, "truth", {})
+
+
+def finish(found: RunReport, folder: Path, *, as_json: bool) -> int:
+    """Report, summary and exit code of a run: 0 as wanted, 1 held or failed, 130 interrupted."""
+    log = read_log(folder / "run.mcap")
+    merits = report.figures_of_merit(log)
+    try:
+        report.write(log, folder / "report.html")
+        written = "run.mcap and report.html"
+    except ImportError as error:  # no matplotlib: MissingExtra says so
+        notes().print(f"no report: {error}")
+        written = "run.mcap"
+    if as_json:
+        print_json({"command": "run", **found.as_dict(), "figures": merits, "folder": str(folder)})
+    else:
+        console = results()
+        cause = f" ({found.cause.value})" if found.cause else ""
+        console.print(f"outcome: {found.outcome.value}{cause}; {found.torque_message}")
+        for name, value in merits.items():
+            console.print(f"  {name:<20} {value:.4g}")
+        console.print(f"in {folder}: {written}", soft_wrap=True)
+    if found.outcome is not State.IDLE:
+        return 1
+    interrupted = found.counts[Event.INTERRUPT] + found.counts[Event.INTERRUPT_AGAIN]
+    return INTERRUPTED if interrupted else 0
+
+
+def _line(said: RunEvent) -> str:
+    detail = f": {said.detail}" if said.detail else ""
+    return f"{said.time:7.2f} s  {said.state.value:<5}  {said.event.value}{detail}"

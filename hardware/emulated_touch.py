@@ -1,0 +1,62 @@
+"""The fingertips of the emulated hand as a tactile source."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from dexctl.state import Floats
+from hardware.emulator import Emulator
+from hardware.tactile import MOST_AGE, TRUSTED_FORCE, TactileReading, judge
+
+
+class EmulatedTactile:
+    """What the emulator's MuJoCo hand feels, asked over its side channel.
+
+    Args:
+        emulator: with MuJoCo dynamics.
+        trusted_force: weakest force that counts as touch [N].
+        most_age: older readings are stale [s].
+
+    Attributes:
+        truth: what no real hand knows, of the last reading: ``object_position`` [m],
+            ``object_quaternion`` wxyz; {} without an object.
+    """
+
+    def __init__(
+        self,
+        emulator: Emulator,
+        *,
+        trusted_force: float = TRUSTED_FORCE,
+        most_age: float = MOST_AGE,
+    ) -> None:
+        self._emulator = emulator
+        self._trusted_force, self._most_age = trusted_force, most_age
+        self.truth: dict[str, Any] = {}
+
+    def read(self) -> TactileReading:
+        """What the fingertips feel now."""
+        said = self._emulator.touch()
+        now = time.monotonic()
+        if said is None:
+            raise ValueError("the emulator has no fingertips: start it with MuJoCo dynamics")
+        self.truth = {
+            key: said[key]
+            for key in ("object_position", "object_quaternion")
+            if said.get(key) is not None
+        }
+        force: Floats = np.asarray(said["force"], float)
+        return judge(
+            np.asarray(said["position"], float),
+            np.asarray(said["normal"], float),
+            force,
+            np.full(len(force), now - float(said["age"])),
+            now,
+            self._trusted_force,
+            self._most_age,
+        )
+
+    def close(self) -> None:
+        """Nothing to let go of: the emulator is its starter's."""

@@ -1,0 +1,375 @@
+"""ServoHand: a hand of servos on a bus, as a `dexctl.Plant`.
+
+Torque comes on in :meth:`ServoHand.arm` only, with the set-points where the joints stand; from
+there on every set-point passes the limits. :meth:`ServoHand.disarm` always returns what is known
+of the torque. One thread uses a hand at a time.
+"""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl import GraspState, HandModel
+from dexctl.exceptions import InvalidInput
+from dexctl.state import Floats
+from hardware import registers
+from hardware.bus import Bus
+from hardware.calibration import Calibration
+from hardware.exceptions import BusError, PortLost, ServoError
+from hardware.limits import LimitedGoal, Limits, limit_goal
+from hardware.machine import Torque
+from hardware.registers import OperatingMode, Register
+from hardware.samples import Health, JointSample, TorqueReport
+from hardware.tactile import NoTactile, TactileReading, TactileSource
+from hardware.ticker import Ticker
+from hardware.units import ServoGains
+
+CONTROL_PERIOD = 0.02
+_PATIENCE = 5  # how often a servo is asked, beyond the bus's own retries, before torque is on
+
+
+class ServoHand:
+    """A hand on a servo bus.
+
+    Args:
+        bus: with all servos of the calibration; stays the caller's to close.
+        hand: the model.
+        calibration: how joints lie on servos; default servos 1 to d, straight.
+        limits: speed, torque and the rest.
+        gains: of the position loop; default: as they are in the servos.
+        tactile: what the fingertips feel; default nothing.
+        control_period: time of one :meth:`step`, and what the speed limit reckons with [s].
+
+    Attributes:
+        torque: what is known of it.
+        q_target: the set-points sent last, ``(d,)`` [rad], before rounding to the servo's ticks
+            of 1.5 mrad (a slow motion would be lost if the rounded value were built on); NaN
+            until armed.
+
+    Raises:
+        InvalidInput: hand, calibration and bus do not belong together.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        hand: HandModel,
+        calibration: Calibration | None = None,
+        *,
+        limits: Limits | None = None,
+        gains: ServoGains | None = None,
+        tactile: TactileSource | None = None,
+        control_period: float = CONTROL_PERIOD,
+    ) -> None:
+        self.bus = bus
+        self.hand = hand
+        self.calibration = (calibration or Calibration.nominal(hand)).check(hand)
+        self.limits = limits or Limits()
+        self.gains = gains
+        self.tactile = tactile or NoTactile(hand.n_fingers)
+        self._ticker = Ticker(control_period)
+        self.control_period = control_period
+        self.torque = Torque.UNKNOWN
+        self.q_target = np.full(hand.nq, np.nan)
+        self._ids = [int(servo) for servo in self.calibration.servo]
+        self._turns: Floats | None = None
+        self._sample: JointSample | None = None
+        self._touch: TactileReading = self.tactile.read()
+        self._health = Health(
+            np.full(hand.nq, np.nan),
+            np.full(hand.nq, np.nan),
+            np.full(hand.nq, -1),
+            np.zeros(hand.nq, bool),
+            np.zeros(hand.nq, bool),
+        )
+        self._health_turn = 0
+        self._last_limited: LimitedGoal | None = None
+
+    # arming
+
+    def arm(self) -> None:
+        """Torque on, with the set-points where the joints stand.
+
+        In this order: torque off, mode and limits written and read back, turns resolved, set-points
+        to the present position, speed and current limits, bus watchdog, torque on. From then on
+        the bus must not be silent for longer than ``limits.watchdog``.
+
+        Raises:
+            ServoError: a servo does not answer, has a hardware error, or does not keep a setting.
+            InvalidInput: a joint stands out of its range.
+        """
+        try:
+            self._prepare()
+            self._set(registers.BUS_WATCHDOG, self.limits.watchdog)
+            self._set(registers.TORQUE_ENABLE, 1.0)
+        except BaseException:
+            self.disarm()
+            raise
+        self.torque = Torque.ON
+        self._ticker.restart()
+
+    def _prepare(self) -> None:
+        """All of arming but the watchdog and the torque."""
+        self.configure()
+        self.sample()
+        position = self._must(registers.PRESENT_POSITION)
+        self.q_target = self.calibration.joint_angle(position, self._turn_count)
+        self._set(registers.GOAL_POSITION, position)
+        self._set(registers.PROFILE_ACCELERATION, 0.0)
+        self._set(registers.PROFILE_VELOCITY, self.limits.speed)
+        if self.gains is not None:
+            self._set(registers.POSITION_P_GAIN, float(self.gains.p))
+            self._set(registers.POSITION_D_GAIN, float(self.gains.d))
+            self._set(registers.POSITION_I_GAIN, 0.0)
+        self._set(registers.GOAL_CURRENT, self.calibration.current(self.limits.torque))
+
+    def configure(self) -> None:
+        """Torque off, settings that live in EEPROM written where they differ, turns resolved.
+
+        Raises:
+            ServoError, InvalidInput: see :meth:`arm`.
+        """
+        self._set(registers.TORQUE_ENABLE, 0.0)
+        self.torque = Torque.OFF
+        self._check_errors()
+        # after a trip the goals are read-only until this is cleared
+        self._set(registers.BUS_WATCHDOG, 0.0)
+        for register, value in (
+            (registers.OPERATING_MODE, float(OperatingMode.CURRENT_BASED_POSITION)),
+            (registers.DRIVE_MODE, 0.0),
+            (registers.HOMING_OFFSET, 0.0),
+            (registers.RETURN_DELAY, 0.0),
+            (registers.CURRENT_LIMIT, self.calibration.current(self.limits.torque)),
+        ):
+            if not self._is_set(register, value):
+                self._set(register, value)
+        self._turns = self.calibration.turns(self._must(registers.PRESENT_POSITION))
+
+    def _check_errors(self) -> None:
+        found = self._must(registers.HARDWARE_ERROR).astype(int)
+        for i in np.flatnonzero(found)[:1]:
+            raise ServoError(
+                f"servo {self._ids[i]} ({self.hand.joint_names[i]}) reports "
+                f"{registers.describe_hardware_error(int(found[i]))}; remove the cause, then: "
+                f"dexctl hardware check --reboot {self._ids[i]}",
+                self._ids[i],
+                alert=True,
+            )
+
+    def _must(self, register: Register) -> Floats:
+        """The register of every servo; ServoError where one does not answer."""
+        readings = self.bus.read(register, self._ids)
+        for _ in range(_PATIENCE):  # nothing moves yet, so there is time to ask again
+            if readings.ok.all():
+                return readings.value
+            readings = self.bus.read(register, self._ids)
+        silent = readings.missing or (self._ids[0],)
+        raise ServoError(
+            f"no answer from servo {', '.join(map(str, silent))} about {register.name}: check "
+            "cable, power and ID",
+            silent[0],
+            answered=False,
+        )
+
+    def _is_set(self, register: Register, value: ArrayLike) -> bool:
+        wanted = register.to_raw(np.broadcast_to(np.asarray(value, float), len(self._ids)))
+        return bool((register.to_raw(self._must(register)) == wanted).all())
+
+    def _set(self, register: Register, value: ArrayLike) -> None:
+        """Write a register of all servos, read it back and compare."""
+        values = np.broadcast_to(np.asarray(value, float), len(self._ids))
+        wanted = register.to_raw(values)
+        for _ in range(_PATIENCE):  # a sync write that got lost shows only here
+            self.bus.write(register, values, self._ids)
+            found = register.to_raw(self._must(register))
+            if (found == wanted).all():
+                return
+        for i in np.flatnonzero(found != wanted)[:1]:
+            raise ServoError(
+                f"servo {self._ids[i]} keeps {register.name} at {found[i] * register.scale:.6g} "
+                f"{register.unit} instead of {values[i]:.6g}",
+                self._ids[i],
+            )
+
+    @property
+    def _turn_count(self) -> Floats:
+        if self._turns is None:
+            raise BusError("the hand is not configured: call arm() or configure() first")
+        return self._turns
+
+    # reading
+
+    def sample(self) -> JointSample:
+        """Ask all servos for current, velocity and position; feeds the bus watchdog.
+
+        Raises:
+            PortLost: the port is gone. Servos that do not answer raise nothing.
+            BusError: not configured yet.
+        """
+        current, velocity, position = self.bus.read_many(
+            [registers.PRESENT_CURRENT, registers.PRESENT_VELOCITY, registers.PRESENT_POSITION],
+            self._ids,
+        )
+        now = time.monotonic()
+        sign, last = self.calibration.sign, self._sample
+        q = self.calibration.joint_angle(position.value, self._turn_count)
+        fresh = position.ok & np.isfinite(q)
+        torque = sign * self.calibration.torque_constant * current.value
+        rate = sign * velocity.value
+        if last is None:
+            if not fresh.all():
+                silent = [i for i, ok in zip(self._ids, fresh, strict=True) if not ok]
+                raise ServoError(f"no answer from servo {silent}", silent[0], answered=False)
+            missed, taken = np.zeros(len(q), int), np.full(len(q), now)
+        else:
+            q = np.where(fresh, q, last.q)
+            rate = np.where(fresh, rate, last.velocity)
+            torque = np.where(fresh, torque, last.torque)
+            missed = np.where(fresh, 0, last.missed + 1)
+            taken = np.where(fresh, now, last.taken)
+        self._sample = JointSample(q, rate, torque, fresh, missed, position.alert, taken, now)
+        return self._sample
+
+    def read(self) -> GraspState:
+        """The state now; object pose unknown. ``age`` is that of the oldest joint."""
+        return self.state(self.sample())
+
+    def state(self, sample: JointSample) -> GraspState:
+        """The state with the joints of ``sample`` and the touch of now."""
+        touch = self._touch = self.tactile.read()
+        return GraspState(
+            q=sample.q.copy(),
+            q_target=(self.q_target if np.isfinite(self.q_target).all() else sample.q).copy(),
+            in_contact=touch.in_contact,
+            contact_position=touch.position,
+            contact_normal=touch.normal,
+            contact_force=touch.force,
+            time=sample.time,
+            age=sample.age,
+        )
+
+    @property
+    def touch(self) -> TactileReading:
+        """What the last state had of the fingertips."""
+        return self._touch
+
+    def health(self) -> Health:
+        """How the servos are. One question per call, so it takes three calls to ask them all.
+
+        Raises:
+            PortLost: the port is gone.
+        """
+        turn, self._health_turn = self._health_turn, (self._health_turn + 1) % 3
+        health = self._health
+        if turn == 0:
+            torque, found = self.bus.read_many(
+                [registers.TORQUE_ENABLE, registers.HARDWARE_ERROR], self._ids
+            )
+            limp = torque.ok & (torque.raw == 0)
+            self._health = health._replace(error=np.where(found.ok, found.raw, -1), limp=limp)
+        elif turn == 1:
+            found = self.bus.read(registers.BUS_WATCHDOG, self._ids)
+            self._health = health._replace(watchdog=found.ok & (found.raw == -1))
+        else:
+            voltage, temperature = self.bus.read_many(
+                [registers.PRESENT_VOLTAGE, registers.PRESENT_TEMPERATURE], self._ids
+            )
+            self._health = health._replace(voltage=voltage.value, temperature=temperature.value)
+        return self._health
+
+    @property
+    def known_health(self) -> Health:
+        """What the last calls of `health` found."""
+        return self._health
+
+    # writing
+
+    def write(self, q_target: ArrayLike) -> Floats:
+        """Send set-points ``(d,)`` [rad]; returns what was sent, after the limits.
+
+        Joints that were asked for NaN or infinity stay where they are; `limited` tells.
+
+        Raises:
+            InvalidInput: wrong shape.
+            BusError: not armed.
+            PortLost: the port is gone.
+        """
+        asked = np.asarray(q_target, float)
+        if asked.shape != self.q_target.shape:
+            raise InvalidInput(f"q_target has shape {asked.shape}; expected {self.q_target.shape}")
+        if self.torque is not Torque.ON:
+            raise BusError(f"set-points go to an armed hand; the torque is {self.torque.value}")
+        limited = limit_goal(
+            asked,
+            self.q_target,
+            self.calibration.lower,
+            self.calibration.upper,
+            self.limits.speed * self.control_period,
+        )
+        self._send(limited.q_target)
+        self._last_limited = limited
+        return self.q_target.copy()
+
+    def hold(self) -> None:
+        """Send the last set-points once more; feeds the bus watchdog."""
+        if self.torque is Torque.ON:
+            self._send(self.q_target)
+
+    def _send(self, q_target: Floats) -> None:
+        goal = self.calibration.servo_angle(q_target, self._turn_count)
+        self.bus.write(registers.GOAL_POSITION, goal, self._ids)
+        self.q_target = q_target
+
+    @property
+    def limited(self) -> LimitedGoal | None:
+        """What the limits did to the last write."""
+        return self._last_limited
+
+    def step(self) -> None:
+        """Wait for the next multiple of the control period."""
+        self._ticker.wait()
+
+    # letting go
+
+    def disarm(self, attempts: int = 10) -> TorqueReport:
+        """Torque off, confirmed servo by servo. Never raises; says what is known."""
+        off = np.zeros(len(self._ids), bool)
+        reason = ""
+        for _ in range(attempts):
+            try:
+                self.bus.write(registers.TORQUE_ENABLE, np.zeros(len(off)), self._ids)
+                found = self.bus.read(registers.TORQUE_ENABLE, self._ids)
+            except PortLost as error:
+                reason = f" ({error})"
+                off[:] = False  # a servo that said so before the cable went is off, but say less
+                continue
+            except BusError as error:
+                reason = f" ({error})"
+                continue
+            off |= found.ok & (found.raw == 0)
+            if off.all():
+                break
+        if off.all():
+            self.torque = Torque.OFF
+            return TorqueReport(Torque.OFF, f"torque off, confirmed by all {len(off)} servos")
+        self.torque = Torque.UNKNOWN
+        unknown = [servo for servo, sure in zip(self._ids, off, strict=True) if not sure]
+        which = (
+            "all servos" if len(unknown) == len(off) else f"servo {', '.join(map(str, unknown))}"
+        )
+        return TorqueReport(Torque.UNKNOWN, f"torque state of {which} UNKNOWN: cut power{reason}")
+
+    def __enter__(self) -> ServoHand:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.disarm()

@@ -1,0 +1,253 @@
+"""Logs of runs: written by another process behind a bounded queue, read back as arrays.
+
+The queue is the pipe to that process. A message is handed over without ever waiting: where the
+pipe is full the message is dropped and counted, and the control loop goes on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import io
+import json
+import os
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from dexctl.exceptions import InvalidInput, MissingExtra
+from hardware.log_process import FRAME, TOPICS
+
+_PIPE_BYTES = 1 << 20  # about 8 s of ticks at 50 Hz; the kernel may grant less
+_INDEX = {topic: i for i, topic in enumerate(TOPICS)}
+
+
+class LogWriter:
+    """Hands messages to the process that writes them.
+
+    Args:
+        path: the MCAP file; replaced if it is there.
+
+    Attributes:
+        dropped: messages that found the queue full, or the process gone.
+        error: what the process said when it failed, "" if it did not.
+
+    Raises:
+        MissingExtra: mcap is not installed.
+        InvalidInput: the file cannot be written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        if find_spec("mcap") is None:
+            raise MissingExtra("logging", "hardware")
+        self.path = Path(path).expanduser()
+        try:
+            self.path.open("wb").close()
+        except OSError as error:
+            raise InvalidInput(f"cannot write {self.path}: {error.strerror}") from None
+        self.dropped = 0
+        self.error = ""
+        self._pending = b""
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+        # a session of its own: Ctrl-C in the terminal is for the run, the log ends after it
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "hardware.log_process", str(self.path)],
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            env=environment,
+            bufsize=0,
+        )
+        assert self._process.stdin is not None
+        self._pipe = self._process.stdin.fileno()
+        os.set_blocking(self._pipe, False)
+        if hasattr(fcntl, "F_SETPIPE_SZ"):
+            with contextlib.suppress(OSError):  # a smaller queue is a queue too
+                fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+
+    def write(self, topic: str, message: Mapping[str, Any], nanoseconds: int | None = None) -> bool:
+        """Hand over one message; returns whether there was room for it. Never waits.
+
+        Args:
+            topic: one of `TOPICS`.
+            message: values that JSON knows, or arrays; what is not finite becomes null.
+            nanoseconds: when it was; default now.
+        """
+        if not self._push():
+            self.dropped += 1
+            return False
+        data = encode(message)
+        now = time.time_ns() if nanoseconds is None else nanoseconds
+        self._pending = FRAME.pack(_INDEX[topic], now, len(data)) + data
+        self._push()
+        return True
+
+    def _push(self) -> bool:
+        """Write what is left of the last frame; whether all of it is through."""
+        while self._pending:
+            try:
+                self._pending = self._pending[os.write(self._pipe, self._pending) :]
+            except (BlockingIOError, BrokenPipeError):
+                return False
+        return True
+
+    def close(self, timeout: float = 10.0) -> None:
+        """Let the process finish the file; waits for at most ``timeout`` [s]. Idempotent."""
+        if self._process.stdin is None or self._process.stdin.closed:
+            return
+        end = time.monotonic() + timeout
+        while not self._push() and self._process.poll() is None and time.monotonic() < end:
+            time.sleep(0.005)
+        self.dropped += bool(self._pending)
+        self._process.stdin.close()
+        try:
+            self._process.wait(max(end - time.monotonic(), 0.1))
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        assert self._process.stderr is not None
+        with self._process.stderr as said:
+            lines = said.read().decode(errors="replace").strip().splitlines()
+        if self._process.returncode:
+            self.error = lines[-1] if lines else f"exit code {self._process.returncode}"
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def encode(message: Mapping[str, Any]) -> bytes:
+    """As JSON; arrays become lists, numbers that are not finite null."""
+    try:
+        return json.dumps(message, default=_listed, allow_nan=False).encode()
+    except ValueError:
+        return json.dumps(_finite(message), allow_nan=False).encode()
+
+
+def _listed(value: object) -> object:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return str(value)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if not isinstance(value, str | int | float | list | tuple | None):
+        value = _listed(value)
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A log, read.
+
+    Attributes:
+        path: the file.
+        run: what was run: controller, hand, period, calibration, limits, machine.
+        ticks: by name, a row for each tick: ``time`` ``(T,)`` [s] since the start, ``q``,
+            ``q_target`` ``(T, d)`` and whatever else the ticks hold; null became NaN.
+        health, events: messages, each with its ``time`` [s].
+        summary: what the run said at its end; {} where it never came to it.
+        cut: whether the file ends before its end mark.
+    """
+
+    path: Path
+    run: Mapping[str, Any]
+    ticks: Mapping[str, np.ndarray]
+    health: tuple[Mapping[str, Any], ...]
+    events: tuple[Mapping[str, Any], ...]
+    summary: Mapping[str, Any]
+    cut: bool
+    messages: int = field(default=0)
+
+
+def read_log(path: str | Path) -> Log:
+    """Read a log, one cut off at any byte included.
+
+    Raises:
+        InvalidInput: no such file, or one that is not MCAP.
+        MissingExtra: mcap is not installed.
+    """
+    if find_spec("mcap") is None:
+        raise MissingExtra("reading logs", "hardware")
+    path = Path(path).expanduser()
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InvalidInput(f"cannot read {path}: {error.strerror}") from None
+    topics: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
+    whole = False
+    for item in _messages(content, path):
+        if item is None:
+            whole = True
+        else:
+            topics[item[0]].append(item[1])
+    ticks = topics["/tick"]
+    names = [name for name in ticks[0] if all(name in tick for tick in ticks)] if ticks else []
+    return Log(
+        path=path,
+        run=topics["/run"][0] if topics["/run"] else {},
+        ticks={name: _column([tick[name] for tick in ticks]) for name in names},
+        health=tuple(topics["/health"]),
+        events=tuple(topics["/event"]),
+        summary=topics["/summary"][-1] if topics["/summary"] else {},
+        cut=not whole,
+        messages=sum(len(found) for found in topics.values()),
+    )
+
+
+def _messages(content: bytes, path: Path) -> Iterator[tuple[str, dict[str, Any]] | None]:
+    """(topic, message) of what is whole in the file; None at its end mark."""
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Footer, Message
+    from mcap.stream_reader import StreamReader
+
+    magic = b"\x89MCAP0\r\n"
+    if content[: len(magic)] != magic[: len(content)]:
+        raise InvalidInput(f"{path} is no MCAP file")
+    names: dict[int, str] = {}
+    # No record is longer than the file: a length made of half a number must not ask for memory.
+    reader = StreamReader(io.BytesIO(content), record_size_limit=len(content))
+    try:
+        for record in reader.records:
+            if isinstance(record, Channel):
+                names[record.id] = record.topic
+            elif isinstance(record, Message) and names.get(record.channel_id) in _INDEX:
+                message = json.loads(record.data)
+                if isinstance(message, dict):
+                    yield names[record.channel_id], message
+            elif isinstance(record, Footer):
+                yield None
+    except (McapError, EOFError, struct.error, ValueError):
+        return  # cut off here
+
+
+def _column(values: list[Any]) -> np.ndarray:
+    """Numbers as an array of floats, anything else as objects."""
+    try:
+        return np.array(values, float)
+    except (TypeError, ValueError):
+        column = np.empty(len(values), object)
+        column[:] = values
+        return column

@@ -1,0 +1,225 @@
+"""`dexctl hardware ...` on the emulator: what is typed, printed, written and returned."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl.cli import commands, main
+from dexctl.exceptions import InvalidInput
+from hardware.bus import Bus
+from hardware.calibration import Calibration
+from hardware.cli.calibrate import _EmulatedPerson, from_poses, odd_travels
+from hardware.cli.check import _Look
+from hardware.cli.latency import delays
+from hardware.cli.options import HandOptions
+from hardware.emulator import Emulator
+from hardware.hand import ServoHand
+from hardware.log import LogWriter, read_log
+from hardware.motions import Replay, Sine, StepAndChirp, lag
+from hardware.report import build, figures_of_merit
+
+# the machine may be busy with other tests
+PATIENT = ["--emulate", "--patience", "10"]
+
+
+@pytest.fixture(autouse=True)
+def group(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("hardware", "hardware.cli:COMMANDS", commands.GROUP)
+    monkeypatch.setattr(commands, "entry_points", lambda group: [point])
+
+
+def test_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hardware", "--help"]) == 0
+    said = capsys.readouterr().out
+    for name in ("check", "calibrate", "run", "latency", "replay", "report"):
+        assert f"  {name} " in said
+    assert main(["--help"]) == 0
+    assert "hardware      Check, calibrate and run a servo hand" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["run", "fly", "--emulate"], "unknown controller 'fly'; known: igm"),
+        (["run", "igm"], "igm goes by touch; expected --tactile PORT"),
+        (["run", "igm", "--emulate", "--port", "/dev/x"], "--emulate and --port /dev/x"),
+        (["run", "sine", "--emulate", "--rate", "0"], "--rate is 0.0"),
+        (["run", "sine", "--emulate", "--speed", "9"], "speed is 9.0; expected at most 3.0"),
+        (["run", "sine", "--emulate", "--torque", "nan"], "torque is nan"),
+        (["run", "sine", "--emulate", "--seconds", "inf"], "--seconds is inf"),
+        (["run", "sine", "--emulate", "--gravity", "left"], "unknown palm direction 'left'"),
+        (["run", "nowhere:make", "--emulate"], "'nowhere:make'; it cannot be loaded"),
+        (["run", "hold", "--emulate", "--object", "pear"], "unknown object 'pear'"),
+        (["run", "sine", "--emulate", "--patience", "0"], "--patience is 0.0"),
+        (["run", "sine", "--emulate", "--stiffness", "-1"], "kp is -1.0"),
+        (["check", "--hand", "claw"], "unknown hand 'claw'"),
+        (["check", "--calibration", "none.toml"], "none.toml is no calibration file"),
+        (["check", "--emulate", "--reboot", "300"], "--reboot is 300"),
+        (["latency", "--emulate", "--joint", "knee"], "unknown joint 'knee'"),
+        (["replay", "none.mcap"], "cannot read none.mcap"),
+        (["report", "none.mcap"], "cannot read none.mcap"),
+        (["calibrate", "--emulate", "--torque-constant", "0"], "--torque-constant is 0.0"),
+        (["calibrate", "--emulate", "--out", "no/such/c.toml"], "its folder does not exist"),
+    ],
+)
+def test_bad_arguments(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    out = ["--out", str(tmp_path)] if words[0] == "run" else []
+    assert main(["hardware", *words, *out]) == 2
+    error = capsys.readouterr().err
+    assert said in error and len(error.strip().splitlines()) == 1
+
+
+def test_a_port_must_be_named_or_the_only_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hardware.cli.options.ports", lambda: ["/dev/a", "/dev/b"])
+    with pytest.raises(InvalidInput, match="expected one of the ports here: /dev/a, /dev/b"):
+        HandOptions().find_port()
+    monkeypatch.setattr("hardware.cli.options.ports", lambda: ["/dev/a"])
+    assert HandOptions().find_port() == "/dev/a"
+
+
+def test_a_port_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hardware", "check", "--port", "/dev/none"]) in (1, 2)
+    assert "/dev/none" in capsys.readouterr().err
+
+
+def test_calibrate_then_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "hand.toml"
+    assert main(["hardware", "calibrate", "--emulate", "--seed", "3", "--out", str(path)]) == 0
+    found, hand = Calibration.load(path), dexctl.hands.load("dex5")
+    truth = _EmulatedPerson(hand, list(range(1, 16)), 3)
+    np.testing.assert_array_equal(found.sign, truth.signs)
+    np.testing.assert_allclose(found.zero, truth.zeros * 2 * np.pi / 4096, atol=1e-6)
+    np.testing.assert_allclose(found.lower, hand.lower, atol=2e-3)
+    np.testing.assert_allclose(found.upper, hand.upper, atol=2e-3)
+    capsys.readouterr()
+    assert main(["hardware", "check", *PATIENT, "--json", "--calibration", str(path)]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["problems"] == [] and len(said["servos"]) == 15
+    assert {row["model"] for row in said["servos"]} == {1030}
+    assert max(abs(row["position_rad"]) for row in said["servos"]) < 2e-3
+    assert 0 < said["cycle_s"]["p50"] < 1
+
+
+def test_calibration_from_poses_that_cannot_be(dex5: dexctl.HandModel) -> None:
+    zero, servo = np.full(15, 3.0), np.arange(1, 16)
+    poses = {"zero": zero, "upper": zero + dex5.upper, "lower": zero + dex5.lower}
+    assert (from_poses(dex5, poses, servo).sign == 1).all() and odd_travels(dex5, poses) == []
+    still = {**poses, "lower": poses["upper"]}
+    with pytest.raises(InvalidInput, match=r"f1_roll \(servo 1\) moved by 0.000 rad"):
+        from_poses(dex5, still, servo)
+    beside = {**poses, "zero": zero + 2.0}
+    with pytest.raises(InvalidInput, match="is not between its ends"):
+        from_poses(dex5, beside, servo)
+    short = {**poses, "upper": poses["upper"] - np.eye(15)[0] * 0.5}
+    assert odd_travels(dex5, short) == ["f1_roll travels 0.90 rad; the model has 1.40"]
+
+
+def test_check_names_what_is_wrong(dex5: dexctl.HandModel) -> None:
+    with Emulator(15) as emulator, Bus(emulator.port, range(1, 16), timeout=0.05) as bus:
+        emulator.silence(6)
+        emulator.overload(2)
+        emulator.voltage(9.7, 4)
+        look = _Look(ServoHand(bus, dex5))
+        look.at_servos(bus)
+    assert look.silent == [6]
+    assert len(look.problems) == 3
+    said = "\n".join(look.problems)
+    assert "servo 6" in said and "does not answer" in said
+    assert "servo 2" in said and "overload" in said and "--reboot 2" in said
+    assert "servo 4" in said and "9.7 V; expected 10.0 to 14.8" in said
+
+
+def test_run_replay_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    words = ["run", "sine", "--seconds", "1", "--json", "--out", str(first), *PATIENT]
+    assert main(["hardware", *words]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["outcome"], said["torque"]) == ("idle", "off")
+    assert said["figures"]["tracking_rms_rad"] < 0.05
+    log = read_log(first / "run.mcap")
+    assert log.run["controller"] == "sine" and log.run["emulated"] and not log.cut
+    page = (first / "report.html").read_text()
+    assert "torque off, confirmed by all 15 servos" in page and "<script" not in page
+
+    words = ["replay", str(first / "run.mcap"), "--out", str(second), "--patience", "10"]
+    assert main(["hardware", *words]) == 0
+    assert "joints against the log" in capsys.readouterr().out
+    assert main(["hardware", *words[:2], "--out", str(first)]) == 2
+
+    content = (first / "run.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
+    assert main(["hardware", "report", str(tmp_path / "cut.mcap")]) == 0
+    assert "the log was cut off" in capsys.readouterr().out
+    assert "No summary" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_in_grasp_manipulation_turns_the_object(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", "igm", "--seconds", "10", "--json", "--out", str(tmp_path), *PATIENT]
+    assert main(["hardware", *words]) == 0
+    said = json.loads(capsys.readouterr().out)
+    # the bare simulator turns it by 0.9 to 2.1 rad before a limit or a lost contact
+    assert said["figures"]["rotation_rad"] > 0.5
+    assert "Touch" in (tmp_path / "report.html").read_text()
+
+
+def test_a_log_without_ticks_gives_a_page(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write("/run", {"controller": "sine"})
+    found = read_log(tmp_path / "a.mcap")
+    assert figures_of_merit(found) == {}
+    assert "The log holds no ticks" in build(found)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.043, 0.1])
+def test_lag_is_found_between_samples(delay: float) -> None:
+    time = np.arange(0, 8, 0.01)
+    chirp = np.sin(2 * np.pi * (0.3 + 0.1 * time) * time)
+    late = np.interp(time - delay, time, chirp, left=0.0)
+    assert lag(chirp, late, 0.01) == pytest.approx(delay, abs=2e-3)
+    assert np.isnan(lag(np.zeros(100), np.zeros(100), 0.01))
+
+
+def test_step_and_chirp_delays_by_hand(dex5: dexctl.HandModel) -> None:
+    motion = StepAndChirp(dex5, 2, control_period=0.01)
+    time = np.arange(0, motion.seconds, 0.01)
+    sent = np.array([motion.offset(t)[2] for t in time])
+    came = np.interp(time - 0.05, time, sent, left=0.0)
+    step, chirp = delays(np.stack([time, sent, came], axis=1), motion.STEP_SECONDS, 0.01)
+    assert step == pytest.approx(0.05, abs=0.011) and chirp == pytest.approx(0.05, abs=2e-3)
+
+
+def test_motions_start_where_the_set_points_are(dex5: dexctl.HandModel) -> None:
+    def state(q_target: np.ndarray) -> dexctl.GraspState:
+        return dexctl.GraspState(
+            q=q_target,
+            q_target=q_target,
+            in_contact=np.zeros(5, bool),
+            contact_position=np.zeros((5, 3)),
+            contact_normal=np.zeros((5, 3)),
+            contact_force=np.zeros(5),
+        )
+
+    sine = Sine(dex5, control_period=0.5, amplitude=0.1, frequency=0.5)
+    q = np.full(15, 0.2)
+    q = q + sine.act(state(q))  # a quarter of a period of 2 s
+    np.testing.assert_allclose(q, 0.3)
+    q = q + sine.act(state(q))
+    np.testing.assert_allclose(q, 0.2, atol=1e-12)
+    rows = np.linspace(0, 1, 30).reshape(2, 15)
+    replay = Replay(dex5, rows)
+    np.testing.assert_allclose(q + replay.act(state(q)), rows[0])
+    np.testing.assert_allclose(q + replay.act(state(q)), rows[1])
+    np.testing.assert_allclose(q + replay.act(state(q)), rows[1])
+    with pytest.raises(InvalidInput, match=r"q_target has shape \(2, 14\)"):
+        Replay(dex5, rows[:, 1:])
