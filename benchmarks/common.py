@@ -12,6 +12,8 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,6 +31,8 @@ RESULTS = Path(__file__).resolve().parent / "results"
 FULL_TURN = 2 * np.pi
 PALMS = ("up", "down")
 THREADS = 2  # of the physics in the timing benchmarks
+# of in-grasp manipulation; they give the same numbers
+ENGINES = {"compiled": "compiled (extra `fast`)", "plain": "numpy only"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +121,11 @@ def ratio(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
     }
 
 
+def engines() -> list[str]:
+    """The engines of in-grasp manipulation that are installed."""
+    return [name for name in ENGINES if name == "plain" or find_spec("numba") is not None]
+
+
 # -- trials ---------------------------------------------------------------------------------
 
 
@@ -168,6 +177,13 @@ def grid(
         if any(row[key] == name for row in rows)
     ]
     return ["", *(f"{name}, palm {palm}" for name, palm in scenes)], lines
+
+
+def controls(scene: Scene, q_target: np.ndarray, substeps: int) -> np.ndarray:
+    """What MuJoCo gets to hold set-points ``(N, d)``, ``(N, substeps, nu)``."""
+    ctrl = np.zeros((len(q_target), scene.model.nu))
+    ctrl[:, scene.actuators] = q_target * scene.ctrl_per_radian
+    return np.repeat(ctrl[:, None], substeps, axis=1)
 
 
 def share(hits: np.ndarray) -> dict[str, Any]:
@@ -296,13 +312,16 @@ def write(
     path = given.out / f"{name}.json"
     aside = path.with_suffix(".part")
     chosen = {key: value for key, value in asdict(given).items() if key not in ("out", "resume")}
+    where = machine()
+    where["versions"]["numba"] = version("numba") if find_spec("numba") else "not installed"
+    where["load"] = round(os.getloadavg()[0], 2)
     result = {
         "benchmark": name,
         "figures": [asdict(figure) for figure in figures],
         "tables": list(tables),
         **numbers,
         "settings": chosen,
-        "machine": {**machine(), "load": round(os.getloadavg()[0], 2)},
+        "machine": where,
     }
     aside.write_text(json.dumps(result, indent=1, default=str) + "\n")
     aside.replace(path)

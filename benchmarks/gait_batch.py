@@ -7,16 +7,37 @@ three meet the same load and the same contacts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import mujoco
 import numpy as np
-from common import THREADS, Figure, Settings, progress, settings, spread, timed, write
+from common import (
+    ENGINES,
+    THREADS,
+    Figure,
+    Settings,
+    controls,
+    engines,
+    progress,
+    settings,
+    spread,
+    timed,
+    write,
+)
 from mujoco.rollout import Rollout
 
 from dexctl import controllers
+from dexctl.controller import Controller
+from dexctl.gait import CoordinatedGaitConfig
 from dexctl.sim import BatchSimulator, Scene
+
+# name: title and goal
+CONTROLLERS = {
+    "coordinated": ("coordinated gait", 0.3),
+    "igm": ("in-grasp manipulation", None),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,9 +52,16 @@ class Options(Settings):
     """Control steps before, not counted."""
 
 
-def closed_loop(name: str, scene: Scene, given: Options) -> dict[str, np.ndarray]:
+def make(name: str, engine: str, scene: Scene) -> Controller:
+    """The controller by name, with an engine."""
+    if name == "igm":
+        return controllers.make(name, scene.hand, engine=engine)
+    in_grasp = replace(CoordinatedGaitConfig().in_grasp, engine=engine)
+    return controllers.make(name, scene.hand, in_grasp=in_grasp)
+
+
+def closed_loop(controller: Controller, scene: Scene, given: Options) -> dict[str, np.ndarray]:
     """Seconds per control step ``(steps,)`` of the controller, the physics and the simulator."""
-    controller = controllers.make(name, scene.hand)
     model, count = scene.model, given.environments
     data = [mujoco.MjData(model) for _ in range(THREADS)]
     models = [model] * count
@@ -59,11 +87,10 @@ def closed_loop(name: str, scene: Scene, given: Options) -> dict[str, np.ndarray
 
         for i in range(given.warm_up + given.steps):
             acting = timed(act)
-            sim.write(state.q_target + change)
-            saved = sim.save()
-            control = np.repeat(saved.ctrl[:, None], sim.substeps, axis=1)
+            control = controls(scene, sim.write(state.q_target + change), sim.substeps)
+            now = sim.save().physics
 
-            def physics(start: np.ndarray = saved.physics, control: np.ndarray = control) -> None:
+            def physics(start: np.ndarray = now, control: np.ndarray = control) -> None:
                 pool.rollout(
                     models,
                     data,
@@ -95,12 +122,12 @@ def main() -> None:
     scene = Scene.build("dex5", "cube")
     numbers: dict[str, Any] = {}
     figures = []
-    for name, title, goal in (("coordinated", "coordinated gait", 0.3), ("igm", "in-grasp", None)):
-        progress(title)
-        seconds = closed_loop(name, scene, given)
+    for (name, (title, goal)), engine in product(CONTROLLERS.items(), engines()):
+        progress(f"{title}, {ENGINES[engine]}")
+        seconds = closed_loop(make(name, engine, scene), scene, given)
         total = {part: float(value.sum()) for part, value in seconds.items()}
         against = total["controller"] / total["physics"]
-        numbers[name] = {
+        numbers[f"{name}_{engine}"] = {
             "per_control_step": {part: spread(value) for part, value in seconds.items()},
             "controller_over_physics": round(against, 4),
             "controller_over_step_and_read": round(total["controller"] / total["step_and_read"], 4),
@@ -109,7 +136,7 @@ def main() -> None:
         figures.append(
             Figure(
                 f"{title} for {given.environments} hands, against the physics of the same control "
-                f"steps on {THREADS} threads",
+                f"steps on {THREADS} threads, {ENGINES[engine]}",
                 f"{100 * against:.0f} % ({each:.1f} ms a step)",
                 "at most 30 %" if goal else "",
                 against <= goal if goal else None,

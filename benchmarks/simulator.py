@@ -13,7 +13,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from common import THREADS, Figure, Settings, progress, ratio, settings, timed, write
+from common import THREADS, Figure, Settings, controls, progress, ratio, settings, timed, write
 from mujoco.rollout import Rollout
 
 from dexctl.sim import BatchSimulator, Scene
@@ -31,18 +31,18 @@ class Options(Settings):
     """Rounds of each side, taken in turns."""
 
 
-def bare(model: mujoco.MjModel, start: np.ndarray, controls: list[np.ndarray]) -> Callable[[], Any]:
-    """The control steps of ``controls``, ``(N, substeps, nu)`` each, from ``start``."""
+def bare(model: mujoco.MjModel, start: np.ndarray, steps: list[np.ndarray]) -> Callable[[], Any]:
+    """The control steps ``steps``, ``(N, substeps, nu)`` each, from ``start``."""
     pool = Rollout(nthread=THREADS)
     data = [mujoco.MjData(model) for _ in range(THREADS)]
-    count, substeps, _ = controls[0].shape
+    count, substeps, _ = steps[0].shape
     state = np.zeros((count, substeps, start.shape[1]))
     sensordata = np.zeros((count, substeps, model.nsensordata))
     models = [model] * count
 
     def simulate() -> None:
         now = start
-        for control in controls:
+        for control in steps:
             pool.rollout(
                 models,
                 data,
@@ -71,10 +71,10 @@ def main() -> None:
             sim.step()
         start = sim.save()
         wander = rng.normal(0, 0.003, (given.steps, *start.q_target.shape)).cumsum(axis=0)
-        targets, controls = [], []
+        targets, held = [], []
         for change in wander:
             targets.append(sim.write(start.q_target + change))
-            controls.append(np.repeat(sim.save().ctrl[:, None], sim.substeps, axis=1))
+            held.append(controls(scene, targets[-1], sim.substeps))
 
         def ours() -> None:
             for target in targets:
@@ -84,8 +84,8 @@ def main() -> None:
 
         sides = {
             "simulator": ours,
-            "bare_rollout": bare(scene.model, start.physics, controls),
-            "bare_rollout_without_sensors": bare(untouched.compile(), start.physics, controls),
+            "bare_rollout": bare(scene.model, start.physics, held),
+            "bare_rollout_without_sensors": bare(untouched.compile(), start.physics, held),
         }
         rows = []
         for i in range(given.rounds + 1):
