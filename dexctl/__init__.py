@@ -30,7 +30,7 @@ from dexctl.state import GraspState
 
 if TYPE_CHECKING:
     from dexctl import gait, grasp, igm, sim, switch
-    from dexctl.gait import FingerGaiting
+    from dexctl.gait import CoordinatedGait, FingerGaiting
     from dexctl.igm import InGraspManipulation
     from dexctl.switch import ContactSwitch
 
@@ -42,6 +42,7 @@ except PackageNotFoundError:  # run from a checkout that was never installed
 __all__ = [
     "ContactSwitch",
     "Controller",
+    "CoordinatedGait",
     "DexctlError",
     "FingerGaiting",
     "GraspState",
@@ -72,6 +73,7 @@ _LAZY: dict[str, tuple[str, str | None]] = {
     "sim": ("dexctl.sim", None),
     "InGraspManipulation": ("dexctl.igm", "InGraspManipulation"),
     "ContactSwitch": ("dexctl.switch", "ContactSwitch"),
+    "CoordinatedGait": ("dexctl.gait", "CoordinatedGait"),
     "FingerGaiting": ("dexctl.gait", "FingerGaiting"),
 }
 

@@ -281,7 +281,8 @@ class Bus:
     # -- several servos ---------------------------------------------------------------------------
 
     def _sync_read(self, start: int, size: int, ids: tuple[int, ...]) -> dict[int, Answer]:
-        if len(ids) > 1 and self._fast is not False and self._fast_pause == 0:
+        tried = len(ids) > 1 and self._fast is not False and self._fast_pause == 0
+        if tried:
             together = self._fast_read(start, size, ids)
             if together is not None:
                 return together
@@ -295,7 +296,8 @@ class Bus:
             answers |= self._line.exchange(packet, missing, size)
             if len(answers) == len(ids):
                 break
-        self._judge_fast(complete=len(answers) == len(ids))
+        if tried:  # a plain read that followed no fast one says nothing about it
+            self._judge_fast(complete=len(answers) == len(ids))
         return answers
 
     def _fast_read(self, start: int, size: int, ids: tuple[int, ...]) -> dict[int, Answer] | None:

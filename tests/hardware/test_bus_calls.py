@@ -179,3 +179,10 @@ def test_reboot(bus: Bus, emulator: Emulator) -> None:
         ticking.join()
     found = bus.read_many([R.HARDWARE_ERROR, R.TORQUE_ENABLE], [4])
     assert [reading.raw[0] for reading in found] == [0, 0]
+
+
+def test_reads_of_one_servo_do_not_speak_against_fast_reads(bus: Bus) -> None:
+    for _ in range(20):
+        assert bus.read(R.PRESENT_POSITION, [1]).ok.all()
+    assert bus.read(R.PRESENT_POSITION).ok.all()
+    assert bus.fast is True
