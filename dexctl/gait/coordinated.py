@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput
+from dexctl.gait.odometry import ContactOdometry
 from dexctl.gait.selection import Grasps, choose, holds_without
 from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
@@ -80,8 +81,8 @@ class CoordinatedGait(Controller):
     A finger belongs to in-grasp manipulation until it lifts and to the switch from then until it
     touches: the two actions are in the diagnostics, and their inner product is zero.
 
-    Where nothing tracks the object, the point about which it was turned at the reset stands in
-    for its centre.
+    Where nothing tracks the object, its pose is summed up from the motion of the fingers that hold
+    it (`ContactOdometry`), from the contacts' centroid at the reset on.
 
     Args:
         hand: the hand. Five fingers gait well; with four, a `least_travel` beyond reach turns
@@ -108,6 +109,7 @@ class CoordinatedGait(Controller):
         self.switch = GuardedSwitch(hand, self.axis, self.config.switch, control_period)
         speed = self.config.in_grasp.max_joint_speed
         self._limits = SetPointLimits(hand, speed, self.config.in_grasp.max_lead, control_period)
+        self._odometry = ContactOdometry(hand, control_period)
         self._fresh: np.ndarray | None = None
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
@@ -130,7 +132,13 @@ class CoordinatedGait(Controller):
         tip = now.fingertip_position
         self._meet(state, tip)
         if state.object_position is None:
-            state = replace(state, object_position=self._reference)
+            odometry = self._odometry
+            odometry.update(state, now, state.in_contact & ~self.switch.released)
+            state = replace(
+                state, object_position=odometry.position, object_quaternion=odometry.quaternion
+            )
+        else:
+            self._odometry.follow(state.object_position, state.object_quaternion)
         origin = np.asarray(state.object_position)
         flat = split(tip - origin[:, None], self.axis)[1]
         angle = azimuth(self._neutral, flat, self.axis)
@@ -174,7 +182,7 @@ class CoordinatedGait(Controller):
             self.switch.start(count)
             self._fresh = np.ones(count, bool)
             self._neutral = np.zeros((count, self.hand.n_fingers, 3))
-            self._reference = np.zeros((count, 3))
+            self._odometry.start(count)
             self._wait = np.zeros(count)
         if len(self._fresh) != count:
             raise InvalidInput(
@@ -191,7 +199,7 @@ class CoordinatedGait(Controller):
         centre = (weight * point).sum(axis=1) / weight.sum(axis=1)
         if state.object_position is not None:
             centre = state.object_position[fresh]
-        self._reference[fresh] = centre
+        self._odometry.place(fresh, centre)
         flat = split(tip[fresh] - centre[:, None], self.axis)[1]
         length = np.sqrt((flat * flat).sum(axis=-1, keepdims=True))
         self._neutral[fresh] = flat / np.maximum(length, 1e-9)

@@ -1,0 +1,85 @@
+"""ContactOdometry: where a held object has got to, from the fingers that hold it alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dexctl.configuration import HandConfiguration
+from dexctl.grasp import grasp_map
+from dexctl.hand import HandModel
+from dexctl.rotations import multiply
+from dexctl.state import Bools, Floats, GraspState
+
+_LENGTH = 0.05  # scales rotations to lengths in the least squares [m]
+_RIDGE = 1e-3  # keeps it solvable where the contacts leave a direction open
+_CENTROID_RATE = 0.2  # pulls the centre to the contacts' centroid while all fingers touch [1/s]
+
+
+class ContactOdometry:
+    """Dead reckoning of N objects for hands without tracking.
+
+    A fingertip that holds without slipping moves with the object, so the contacts' velocities
+    J dq are G^T t for the object's twist t (thesis chapter 4, eq. dqrot, read the other way
+    round). The twist is their least-squares solution over the fingers that held before and after
+    a control period, and is summed up. Slip makes the pose drift.
+
+    Attributes:
+        position: ``(N, 3)`` [m].
+        quaternion: wxyz, relative to the start, ``(N, 4)``.
+    """
+
+    def __init__(self, hand: HandModel, control_period: float) -> None:
+        self._hand = hand
+        self._dt = control_period
+        self.start(0)
+
+    def start(self, count: int) -> None:
+        """Nothing known, for ``count`` hands."""
+        self.position = np.zeros((count, 3))
+        self.quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+        self._q = np.zeros((count, self._hand.nq))
+        self._holding = np.zeros((count, self._hand.n_fingers), bool)
+        self._point = np.zeros((count, self._hand.n_fingers, 3))
+        self._jacobian: Floats | None = None
+
+    def place(self, rows: Bools, position: Floats) -> None:
+        """The objects in ``rows`` are at ``position`` ``(K, 3)``, whatever happened before."""
+        self.position = np.array(self.position)  # `follow` may have left the caller's array here
+        self.quaternion = np.array(self.quaternion)
+        self.position[rows] = position
+        self.quaternion[rows] = (1.0, 0.0, 0.0, 0.0)
+        self._holding = self._holding & ~rows[:, None]
+
+    def follow(self, position: Floats, quaternion: Floats | None) -> None:
+        """Something tracks the objects: go on from there when it no longer does."""
+        self.position = position
+        if quaternion is not None:
+            self.quaternion = quaternion
+        self._holding = np.zeros_like(self._holding)
+
+    def update(self, state: GraspState, now: HandConfiguration, holding: Bools) -> None:
+        """Take in one control period; ``holding`` ``(N, m)`` are the fingers on the object."""
+        point = np.where(holding[..., None], state.contact_position, now.fingertip_position)
+        both = holding & self._holding
+        if self._jacobian is not None and both.any():
+            moved = (state.q - self._q)[:, self._hand.finger_joints]
+            motion = (moved[:, :, None, :] @ self._jacobian)[:, :, 0]
+            self._move(self._point, motion, both)
+        whole = holding.all(axis=1, keepdims=True)
+        pull = _CENTROID_RATE * self._dt * (point.mean(axis=1) - self.position)
+        self.position = self.position + np.where(whole, pull, 0.0)
+        self._q, self._holding, self._point = state.q.copy(), holding, point
+        self._jacobian = now.finger_jacobian(point)
+
+    def _move(self, point: Floats, motion: Floats, holding: Bools) -> None:
+        """Move the objects as their contacts ``(N, m, 3)`` moved, in the least-squares sense."""
+        transmission = grasp_map(point, self.position, holding)
+        transmission[:, 3:] /= _LENGTH
+        gram = transmission @ transmission.swapaxes(-1, -2) + _RIDGE * np.eye(6)
+        right = transmission @ motion.reshape(len(motion), -1, 1)
+        twist = np.linalg.solve(gram, right)[..., 0]
+        twist = np.where(holding.sum(axis=1, keepdims=True) >= 3, twist, 0.0)
+        self.position = self.position + twist[:, :3]
+        half = 0.5 * twist[:, 3:] / _LENGTH
+        turned = multiply(np.concatenate([np.ones((len(half), 1)), half], axis=1), self.quaternion)
+        self.quaternion = turned / np.linalg.norm(turned, axis=1, keepdims=True)

@@ -1,0 +1,94 @@
+"""ContactOdometry: an object moved by hand-made twists, and one turned without tracking."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dexctl import GraspState, HandModel
+from dexctl.gait import CoordinatedGait
+from dexctl.gait.odometry import ContactOdometry
+from dexctl.rotations import cross, rotation_vector
+from dexctl.sim import BatchSimulator
+
+
+def _state(hand: HandModel, q: np.ndarray, touch: np.ndarray) -> GraspState:
+    tip = hand.fingertip_positions(q)
+    return GraspState(
+        q=q,
+        q_target=q,
+        in_contact=touch,
+        contact_position=np.where(touch[..., None], tip, np.nan),
+        contact_normal=np.where(touch[..., None], [1.0, 0.0, 0.0], np.nan),
+        contact_force=np.ones(touch.shape),
+    )
+
+
+def _carried(hand: HandModel, q: np.ndarray, twist: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Joints after the fingertips went with an object's small ``twist`` about ``centre``."""
+    tip = hand.fingertip_positions(q)
+    wanted = tip + twist[:, None, :3] + cross(twist[:, None, 3:], tip - centre[:, None])
+    for _ in range(10):
+        now = hand.configuration(q)
+        jacobian = now.contact_jacobian(now.fingertip_position).reshape(len(q), -1, hand.nq)
+        error = (wanted - now.fingertip_position).reshape(len(q), -1, 1)
+        q = q + np.linalg.lstsq(jacobian[0], error[0], rcond=None)[0].T
+    return q
+
+
+def test_it_follows_a_known_twist(dex5: HandModel) -> None:
+    q = np.tile([0.0, 0.75, -1.5], 5)[None]
+    touch = np.ones((1, 5), bool)
+    centre = dex5.fingertip_positions(q).mean(axis=1)
+    odometry = ContactOdometry(dex5, 0.05)
+    odometry.start(1)
+    odometry.place(np.array([True]), centre)
+    twist = np.array([[0.0004, -0.0002, 0.0003, 0.002, -0.001, 0.004]])
+    odometry.update(_state(dex5, q, touch), dex5.configuration(q), touch)
+    q = _carried(dex5, q, twist, centre)
+    odometry.update(_state(dex5, q, touch), dex5.configuration(q), touch)
+    np.testing.assert_allclose(odometry.position - centre, twist[:, :3], atol=2e-5)
+    np.testing.assert_allclose(rotation_vector(odometry.quaternion), twist[:, 3:], atol=5e-5)
+
+
+def test_two_fingers_say_nothing(dex5: HandModel) -> None:
+    q = np.tile([0.0, 0.75, -1.5], 5)[None]
+    touch = np.array([[True, True, False, False, False]])
+    odometry = ContactOdometry(dex5, 0.05)
+    odometry.start(1)
+    for step in range(3):
+        moved = q + 0.01 * step
+        odometry.update(_state(dex5, moved, touch), dex5.configuration(moved), touch)
+    np.testing.assert_array_equal(odometry.position, 0.0)
+
+
+def test_it_goes_on_from_where_tracking_ended(dex5: HandModel) -> None:
+    odometry = ContactOdometry(dex5, 0.05)
+    odometry.start(2)
+    position, quaternion = np.full((2, 3), 0.1), np.tile([0.6, 0.8, 0.0, 0.0], (2, 1))
+    odometry.follow(position, quaternion)
+    odometry.place(np.array([True, False]), np.zeros((1, 3)))
+    np.testing.assert_array_equal(odometry.position, [[0.0] * 3, [0.1] * 3])
+    np.testing.assert_array_equal(odometry.quaternion, [[1, 0, 0, 0], [0.6, 0.8, 0, 0]])
+    np.testing.assert_array_equal(position, 0.1)  # the caller's array is not written to
+
+
+def test_the_gait_knows_where_the_object_is_without_tracking(dex5: HandModel, cube) -> None:
+    sim = BatchSimulator(cube, 4, seed=0)
+    gait = CoordinatedGait(dex5)
+    state = sim.read()
+    start = np.asarray(state.object_position)
+    offset = 0.0
+    for step in range(240):
+        unseen = replace(state, object_position=None, object_quaternion=None)
+        sim.write(state.q_target + gait.act(unseen))
+        sim.step()
+        state = sim.read()
+        if step == 0:
+            offset = gait.diagnostics["origin"] - start
+    there = np.asarray(state.object_position)
+    error = np.linalg.norm(gait.diagnostics["origin"] - offset - there, axis=-1)
+    moved = np.linalg.norm(there - start, axis=-1)
+    assert (moved < 0.03).all()
+    assert (error < 0.02).all()
