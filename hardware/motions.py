@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import final
 
 import numpy as np
@@ -32,9 +33,9 @@ class _Motion(Controller):
         self._asked += 1
         return self._start + self.offset(self._asked * self.control_period) - state.q_target
 
+    @abstractmethod
     def offset(self, time: float) -> Floats | float:
         """How far the set-points are from the start at ``time`` [s], ``(d,)`` [rad]."""
-        raise NotImplementedError
 
 
 @final

@@ -68,14 +68,12 @@ def test_each_moves_its_own_fingers_only(found, gait):
         assert not moved[mine][:, ~moves[f]].any()
 
 
-@pytest.fixture
-def phases(found, gait) -> np.ndarray:
-    if not isinstance(gait, CoordinatedGait):
-        pytest.skip("the thesis gait knows no phases")
-    return found.of("phase")
-
-
-def test_it_passes_on_at_lift_and_at_touch(found, phases):
+# the thesis gait has no phases to pass a finger on at
+@pytest.mark.parametrize(
+    "gait", [name for name in GAITS if "coordinated" in name], indirect=True, scope="module"
+)
+def test_it_passes_on_at_lift_and_at_touch(found, gait):
+    phases = found.of("phase")
     finger = found.of("finger")
     handed = 0
     for before, after in zip(range(len(phases) - 1), range(1, len(phases)), strict=True):
