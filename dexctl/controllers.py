@@ -1,9 +1,17 @@
-"""The controllers by name, for the command line, benchmarks and configuration files."""
+"""The controllers by name, for the command line, benchmarks and configuration files.
+
+dexctl's own stand in a table. Other packages add theirs through the entry-point group
+``dexctl.controllers``: the name is the controller's, the object is called as ``object(hand,
+control_period=..., **options)`` and returns the `Controller`. It is loaded when it is made, not
+before.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
+from importlib.metadata import entry_points
 from typing import Any, final
 
 import numpy as np
@@ -87,9 +95,30 @@ _CONTROLLERS = {
 }
 
 
+GROUP = "dexctl.controllers"
+
+
+@cache
+def _known() -> dict[str, ControllerEntry]:
+    """All controllers; a name of dexctl's own cannot be taken over by another package."""
+    found = dict(_CONTROLLERS)
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        found.setdefault(
+            point.name,
+            ControllerEntry(
+                name=point.name,
+                title=point.name.replace("_", " "),
+                description=f"of the package {point.module.partition('.')[0]}",
+                module=point.module,
+                attribute=point.attr,
+            ),
+        )
+    return found
+
+
 def names() -> tuple[str, ...]:
     """The names that `make` takes."""
-    return tuple(_CONTROLLERS)
+    return tuple(_known())
 
 
 def entry(name: str) -> ControllerEntry:
@@ -98,9 +127,10 @@ def entry(name: str) -> ControllerEntry:
     Raises:
         UnknownName: no such controller.
     """
-    if name not in _CONTROLLERS:
-        raise UnknownName("controller", name, _CONTROLLERS)
-    return _CONTROLLERS[name]
+    known = _known()
+    if name not in known:
+        raise UnknownName("controller", name, known)
+    return known[name]
 
 
 def make(name: str, hand: HandModel, *, control_period: float = 0.05, **options: Any) -> Controller:

@@ -10,6 +10,7 @@ from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.validation import check_numbers
 from learning.envs import EnvConfig
+from learning.envs.observation import check_parts
 from learning.exploration.guide import GuidanceConfig
 
 ALGORITHMS = ("sac", "td3")
@@ -39,6 +40,12 @@ class TrainConfig:
         tau: how far the target critics go towards the critics at each update.
         buffer_size: transitions that the replay buffer holds; one takes about 0.6 kB.
         learning_starts: steps before the first update; the policy's part in them is random.
+        critic_parts: parts of the observation that only the critics see; the policy is trained
+            with the help of what it will not have. The thesis has none.
+        layer_norm: layer normalisation in the critics; the thesis has none.
+        n_step: steps of the returns that critics are trained with; the thesis has 1.
+        policy_delay: updates of the critics to one of the actor; None: the algorithm's own (SAC 1,
+            TD3 2).
         exploration_noise: standard deviation added to the policy's actions (TD3 only).
         device: "auto" takes a GPU where there is one.
         torch_threads: that the updates use.
@@ -61,6 +68,10 @@ class TrainConfig:
     tau: float = 0.005
     buffer_size: int = 500_000
     learning_starts: int = 5_000
+    critic_parts: tuple[str, ...] = ()
+    layer_norm: bool = False
+    n_step: int = 1
+    policy_delay: int | None = None
     exploration_noise: float = 0.1
     device: str = "auto"
     torch_threads: int = 1
@@ -76,7 +87,7 @@ class TrainConfig:
             raise UnknownName("device", self.device, DEVICES)
         for name in (
             "steps", "num_envs", "batch_size", "gradient_steps", "buffer_size", "torch_threads",
-            "log_every", "checkpoint_every",
+            "log_every", "checkpoint_every", "n_step",
         ):  # fmt: skip
             _whole(name, getattr(self, name), 1)
         _whole("learning_starts", self.learning_starts, 0)
@@ -87,6 +98,10 @@ class TrainConfig:
             not_negative=("exploration_noise",),
             fractions=("gamma", "tau"),
         )
+        if self.policy_delay is not None:
+            _whole("policy_delay", self.policy_delay, 1)
+        if self.critic_parts:
+            check_parts((*self.env.parts, *self.critic_parts))
         if not self.network or any(not isinstance(n, int) or n < 1 for n in self.network):
             raise InvalidInput(f"network is {self.network}; expected layer widths of at least 1")
         if self.buffer_size < max(self.num_envs, self.batch_size):
@@ -103,6 +118,7 @@ class TrainConfig:
             "guidance": asdict(self.guidance),
             "controllers": list(self.controllers),
             "network": list(self.network),
+            "critic_parts": list(self.critic_parts),
         }
 
     @classmethod
@@ -120,6 +136,7 @@ class TrainConfig:
                     "guidance": GuidanceConfig(**values["guidance"]),
                     "controllers": tuple(values["controllers"]),
                     "network": tuple(values["network"]),
+                    "critic_parts": tuple(values.get("critic_parts", ())),
                 }
             )
         except (TypeError, KeyError) as error:

@@ -26,7 +26,9 @@ from dexctl import controllers
 from dexctl.exceptions import InvalidInput
 from learning import checkpoint
 from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv
+from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
 from learning.envs import FingerGaitingVectorEnv, make_vector
+from learning.envs.observation import Observation
 from learning.exploration import POLICY, Guide
 from learning.files import write_text
 from learning.policy import PolicySpec, save_policy
@@ -111,7 +113,8 @@ def build(config: TrainConfig) -> Agent:
     """The agent, with its environments and controllers, as it is before the first step."""
     device = _device(config.device)
     torch.set_num_threads(config.torch_threads)
-    env = make_vector(config.env, config.num_envs, config.seed)
+    seen = replace(config.env, parts=(*config.env.parts, *config.critic_parts))
+    env = make_vector(seen, config.num_envs, config.seed)
     names = () if config.guidance.method == "rl" else config.controllers
     period = config.env.control_period
     guide = Guide(
@@ -132,22 +135,33 @@ def build(config: TrainConfig) -> Agent:
         "gradient_steps": config.gradient_steps,
         "replay_buffer_class": GuidedReplayBuffer,
         "replay_buffer_kwargs": {
-            "labels": config.guidance.method == "rl+bc",
+            "labels": config.guidance.labels_all,
+            "n_step": config.n_step,
+            "gamma": config.gamma,
             "seed": config.seed,
         },
         "policy_kwargs": {
             "net_arch": list(config.network),
             "optimizer_kwargs": {"fused": True},
+            "actor_size": actor_observation(config, env).size if config.critic_parts else None,
+            "layer_norm": config.layer_norm,
         },
+        "policy_delay": config.policy_delay,
         "seed": config.seed,
         "device": device,
     }
     vec_env = StableBaselinesVecEnv(env)
     if config.algorithm == "td3":
         return GuidedTD3(
-            "MlpPolicy", vec_env, exploration_noise=config.exploration_noise, **options
+            GuidedTD3Policy, vec_env, exploration_noise=config.exploration_noise, **options
         )
-    return GuidedSAC("MlpPolicy", vec_env, **options)
+    return GuidedSAC(GuidedSACPolicy, vec_env, **options)
+
+
+def actor_observation(config: TrainConfig, env: FingerGaitingVectorEnv) -> Observation:
+    """What the policy sees: the environment's observation but for the critics' own parts."""
+    whole = env.observation.to_dict()
+    return Observation.from_dict(env.hand, whole | {"parts": list(config.env.parts)})
 
 
 def _device(name: str) -> str:
@@ -303,7 +317,7 @@ def export_policy(
     assert isinstance(agent.env, StableBaselinesVecEnv)
     env = agent.env.env
     assert isinstance(env, FingerGaitingVectorEnv)
-    spec = PolicySpec.of(env.hand, env.observation, env.action, config.env)
+    spec = PolicySpec.of(env.hand, actor_observation(config, env), env.action, config.env)
     card = {
         "trained": config.to_dict(),
         "steps": agent.num_timesteps,

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from learning.agents.replay import GuidedReplayBuffer
+from learning.agents.losses import cloning_weight
+from learning.agents.replay import GuidedReplayBuffer, GuidedSamples
 from learning.exploration.guide import Guide, Guided
 
 
@@ -110,7 +111,14 @@ class GuidedExploration(OffPolicyAlgorithm):
                 terminated[i] = not infos[i].get("TimeLimit.truncated", False)
         choice = self._choice
         if choice is None:
-            replay_buffer.add(self._last_obs, next_obs, buffer_action, reward, terminated)  # type: ignore[arg-type]
+            replay_buffer.add(
+                self._last_obs,  # type: ignore[arg-type]
+                next_obs,
+                buffer_action,
+                reward,
+                terminated,
+                ended=dones,
+            )
         else:
             label = None
             if replay_buffer.labels:
@@ -121,6 +129,7 @@ class GuidedExploration(OffPolicyAlgorithm):
                 buffer_action,
                 reward,
                 terminated,
+                ended=dones,
                 guided=choice.guided,
                 guide_action=label,
             )
@@ -131,6 +140,16 @@ class GuidedExploration(OffPolicyAlgorithm):
     def _excluded_save_params(self) -> list[str]:
         """Controllers hold solver handles, which do not pickle."""
         return [*super()._excluded_save_params(), "guide", "_choice"]
+
+    def _cloning_weight(
+        self, batch: GuidedSamples, policy_value: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor | float]:
+        """See `learning.agents.losses.cloning_weight`; ``policy_value`` is ``(B, 1)``."""
+        with torch.no_grad():
+            found = self.critic(batch.observations, batch.guide_actions)
+            least = torch.cat(found, dim=1).min(dim=1, keepdim=True).values
+        kind = "value" if self.guide is None else self.guide.config.cloning_weight
+        return cloning_weight(kind, least, policy_value.detach(), batch.guided)
 
     def _beta(self) -> float:
         """Weight of behaviour cloning now."""

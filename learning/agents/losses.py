@@ -23,6 +23,24 @@ def imitation_weight(value: torch.Tensor, guided: torch.Tensor) -> torch.Tensor:
     return (value.clamp(min=0.0) * guided).detach()
 
 
+def cloning_weight(
+    kind: str, guide_value: torch.Tensor, policy_value: torch.Tensor, guided: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor | float]:
+    """Weight of each imitated action ``(B, 1)``, and what the actor's own loss is divided by.
+
+    Args:
+        kind: of `learning.exploration.GuidanceConfig.cloning_weight`.
+        guide_value, policy_value: Q of the controller's and of the policy's action, ``(B, 1)``.
+        guided: 1 where there is a controller's action, ``(B, 1)``.
+    """
+    if kind == "value":
+        return imitation_weight(guide_value, guided), 1.0
+    scale = policy_value.abs().mean().clamp(min=1e-3).detach()
+    if kind == "better":
+        guided = guided * (guide_value > policy_value)
+    return guided.detach(), scale
+
+
 def squashed_log_prob(
     action: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor
 ) -> torch.Tensor:

@@ -21,8 +21,9 @@ class GuidedSamples(NamedTuple):
             the observation it ended with, never the first of the next episode.
         actions: what was done, ``(B, d)``, in [-1, 1].
         dones: 1 where the episode terminated; 0 where it was cut by its time limit, ``(B, 1)``.
-        rewards: ``(B, 1)``.
-        discounts: None; of stable-baselines3's n-step returns.
+        rewards: ``(B, 1)``; for n-step returns the discounted sum of up to n, and
+            ``next_observations`` and ``dones`` are of the last of these steps.
+        discounts: gamma^n of n-step returns, ``(B, 1)``; None where n is 1.
         guided: 1 where ``guide_actions`` is a controller's, ``(B, 1)``.
         guide_actions: what a controller did, or would have done, ``(B, d)``.
     """
@@ -32,7 +33,7 @@ class GuidedSamples(NamedTuple):
     next_observations: torch.Tensor
     dones: torch.Tensor
     rewards: torch.Tensor
-    discounts: None
+    discounts: torch.Tensor | None
     guided: torch.Tensor
     guide_actions: torch.Tensor
 
@@ -49,6 +50,8 @@ class GuidedReplayBuffer(ReplayBuffer):
         optimize_memory_usage: must be False.
         labels: keep a controller's action beside the one that was done (for RL+BC); otherwise a
             guided transition's own action is the controller's.
+        n_step, gamma: of the returns; they end early where the episode or the memory does. The
+            actions in between are whoever's acted, without correction.
         seed: of the sampling.
     """
 
@@ -62,6 +65,8 @@ class GuidedReplayBuffer(ReplayBuffer):
         optimize_memory_usage: bool = False,
         *,
         labels: bool = False,
+        n_step: int = 1,
+        gamma: float = 0.99,
         seed: int = 0,
     ) -> None:
         if buffer_size < n_envs:
@@ -75,10 +80,10 @@ class GuidedReplayBuffer(ReplayBuffer):
         BaseBuffer.__init__(self, steps, observation_space, action_space, device, n_envs)
         self.optimize_memory_usage = False
         self.handle_timeout_termination = False
-        self.labels = labels
+        self.labels, self.n_step, self.gamma = labels, n_step, gamma
         (k,) = self.obs_shape
         d = int(self.action_dim)
-        edges = np.cumsum([0, k, k, d, 1, 1, 1, d if labels else 0])
+        edges = np.cumsum([0, k, k, d, 1, 1, 1, 1, d if labels else 0])
         self._columns = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         self._rows = np.zeros((steps, n_envs, int(edges[-1])), np.float32)
         self._rng = np.random.default_rng(seed)
@@ -97,6 +102,7 @@ class GuidedReplayBuffer(ReplayBuffer):
         done: np.ndarray,
         infos: list[dict[str, Any]] | None = None,
         *,
+        ended: np.ndarray | None = None,
         guided: np.ndarray | None = None,
         guide_action: np.ndarray | None = None,
     ) -> None:
@@ -106,6 +112,7 @@ class GuidedReplayBuffer(ReplayBuffer):
             obs, next_obs, action, reward, done: ``(N, ...)``; ``done`` only where the episode
                 terminated.
             infos: not read.
+            ended: where the episode terminated or was cut, ``(N,)``; as ``done`` without.
             guided: where a controller did, or labels, this step, ``(N,)``; nowhere without.
             guide_action: its labels ``(N, d)``, for a buffer that keeps them.
 
@@ -114,6 +121,7 @@ class GuidedReplayBuffer(ReplayBuffer):
         """
         row = self._rows[self.pos]
         columns = [obs, next_obs, action, reward[:, None], done[:, None]]
+        columns += [(done if ended is None else ended)[:, None]]
         columns += [np.zeros((self.n_envs, 1)) if guided is None else guided[:, None]]
         if self.labels:
             columns += [np.zeros_like(action) if guide_action is None else guide_action]
@@ -134,10 +142,34 @@ class GuidedReplayBuffer(ReplayBuffer):
         flat = self._rows.reshape(-1, self._rows.shape[-1])
         index = self._rng.integers(0, self.size() * self.n_envs, batch_size)
         rows = torch.from_numpy(flat[index]).to(self.device)
-        obs, next_obs, action, reward, done, guided, label = (rows[:, c] for c in self._columns)
+        obs, next_obs, action, reward, done, _, guided, label = (rows[:, c] for c in self._columns)
+        discounts = None
+        if self.n_step > 1:
+            last, reward, discounts = (
+                torch.from_numpy(found).to(self.device) for found in self._ahead(flat, index)
+            )
+            next_obs, done = last[:, self._columns[1]], last[:, self._columns[4]]
         return GuidedSamples(
-            obs, action, next_obs, done, reward, None, guided, label if self.labels else action
+            obs, action, next_obs, done, reward, discounts, guided, label if self.labels else action
         )
+
+    def _ahead(
+        self, flat: np.ndarray, index: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows that the n-step returns end with, the returns and gamma^n, ``(B, ...)``."""
+        n, size = self.n_step, self.size()
+        step, env = np.divmod(index, self.n_envs)
+        left = (self.pos - 1 - step) % size  # younger steps in the memory
+        path = (step[:, None] + np.arange(n)) % size * self.n_envs + env[:, None]
+        ended = flat[path, self._columns[5].start] > 0
+        ended |= np.arange(n) >= left[:, None]
+        ended[:, -1] = True
+        count = ended.argmax(axis=1)  # steps beyond the first
+        weight = self.gamma ** np.arange(n) * (np.arange(n) <= count[:, None])
+        reward = (flat[path, self._columns[3].start] * weight).sum(axis=1, keepdims=True)
+        last = flat[path[np.arange(len(path)), count]]
+        discount = self.gamma ** (count[:, None] + 1.0)
+        return last, reward.astype(np.float32), discount.astype(np.float32)
 
     def state_dict(self) -> dict[str, Any]:
         """All of it: the rows that are filled (a view, not a copy), and the random stream."""

@@ -9,7 +9,7 @@ from stable_baselines3 import SAC
 from torch.nn import functional
 
 from learning.agents.guided import GuidedExploration, follow, frozen, means
-from learning.agents.losses import imitation_weight, likelihood_cloning
+from learning.agents.losses import likelihood_cloning, squared_cloning
 from learning.agents.replay import GuidedReplayBuffer
 from learning.exploration.guide import Guide
 
@@ -25,6 +25,7 @@ class GuidedSAC(GuidedExploration, SAC):
         policy, env, **options: as `stable_baselines3.SAC`'s; ``ent_coef`` must be a number.
         guide: who acts.
         exploration_noise: added to the policy's actions.
+        policy_delay: updates of the critics to one of the actor; None: 1.
     """
 
     def __init__(
@@ -34,11 +35,13 @@ class GuidedSAC(GuidedExploration, SAC):
         *,
         guide: Guide | None = None,
         exploration_noise: float = 0.0,
+        policy_delay: int | None = None,
         **options: Any,
     ) -> None:
         options = {"ent_coef": 0.0, "replay_buffer_class": GuidedReplayBuffer, **options}
         super().__init__(policy, env, **options)
         self._begin(guide, exploration_noise)
+        self.policy_delay = policy_delay or 1
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """``gradient_steps`` updates of critic, actor and target."""
@@ -46,17 +49,22 @@ class GuidedSAC(GuidedExploration, SAC):
         self.policy.set_training_mode(True)
         self._update_learning_rate([self.actor.optimizer, self.critic.optimizer])
         entropy_weight, beta = float(self.ent_coef), self._beta()
+        squared = self.guide is not None and self.guide.config.cloning == "squared"
         names = ("critic_loss", "actor_loss", "bc_loss", "q_mean")
         sums = {name: torch.zeros((), device=self.device) for name in names}
+        actor_updates = 0
         for _ in range(gradient_steps):
+            self._n_updates += 1
             batch = self.replay_buffer.sample(batch_size)
-            mean, log_std, _ = self.actor.get_action_dist_params(batch.observations)
-            action, log_prob = squashed_sample(mean, log_std, bool(entropy_weight))
+            if updates_actor := self._n_updates % self.policy_delay == 0:
+                mean, log_std, _ = self.actor.get_action_dist_params(batch.observations)
+                action, log_prob = squashed_sample(mean, log_std, bool(entropy_weight))
             with torch.no_grad():
                 next_action, next_log_prob = self._draw(batch.next_observations, entropy_weight)
                 target = torch.cat(self.critic_target(batch.next_observations, next_action), dim=1)
                 target = target.min(dim=1, keepdim=True).values - entropy_weight * next_log_prob
-                target = batch.rewards + (1.0 - batch.dones) * self.gamma * target
+                discount = self.gamma if batch.discounts is None else batch.discounts
+                target = batch.rewards + (1.0 - batch.dones) * discount * target
             values = self.critic(batch.observations, batch.actions)
             critic_loss = (
                 0.5 * torch.stack([functional.mse_loss(value, target) for value in values]).sum()
@@ -64,30 +72,34 @@ class GuidedSAC(GuidedExploration, SAC):
             self.critic.optimizer.zero_grad()
             critic_loss.backward()
             self.critic.optimizer.step()
+            follow(self.critic_target, self.critic, self.tau)
+            sums["critic_loss"] += critic_loss.detach()
+            if not updates_actor:
+                continue
 
             with frozen(self.critic):
                 value = torch.cat(self.critic(batch.observations, action), dim=1)
-                actor_loss = (
-                    entropy_weight * log_prob - value.min(dim=1, keepdim=True).values
-                ).mean()
+                value = value.min(dim=1, keepdim=True).values
+                actor_loss = (entropy_weight * log_prob - value).mean()
                 cloning = torch.zeros((), device=self.device)
                 if beta > 0:
-                    with torch.no_grad():
-                        found = self.critic(batch.observations, batch.guide_actions)
-                        least = torch.cat(found, dim=1).min(dim=1, keepdim=True).values
-                    weight = imitation_weight(least, batch.guided)
-                    cloning = likelihood_cloning(batch.guide_actions, mean, log_std, weight)
+                    weight, scale = self._cloning_weight(batch, value)
+                    actor_loss = actor_loss / scale
+                    if squared:
+                        cloning = squared_cloning(batch.guide_actions, torch.tanh(mean), weight)
+                    else:
+                        cloning = likelihood_cloning(batch.guide_actions, mean, log_std, weight)
                 self.actor.optimizer.zero_grad()
                 (actor_loss + beta * cloning).backward()
             self.actor.optimizer.step()
-            follow(self.critic_target, self.critic, self.tau)
-
-            sums["critic_loss"] += critic_loss.detach()
+            actor_updates += 1
             sums["actor_loss"] += actor_loss.detach()
             sums["bc_loss"] += cloning.detach()
             sums["q_mean"] += value.detach().mean()
-        self._n_updates += gradient_steps
-        self.statistics = means(sums, gradient_steps)
+        critics = {"critic_loss": sums.pop("critic_loss")}
+        self.statistics |= means(critics, gradient_steps)
+        if actor_updates:
+            self.statistics |= means(sums, actor_updates)
 
     def _draw(
         self, observation: torch.Tensor, entropy_weight: float

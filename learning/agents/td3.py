@@ -9,7 +9,7 @@ from stable_baselines3 import TD3
 from torch.nn import functional
 
 from learning.agents.guided import GuidedExploration, follow, frozen, means
-from learning.agents.losses import imitation_weight, squared_cloning
+from learning.agents.losses import squared_cloning
 from learning.agents.replay import GuidedReplayBuffer
 from learning.exploration.guide import Guide
 
@@ -32,9 +32,11 @@ class GuidedTD3(GuidedExploration, TD3):
         *,
         guide: Guide | None = None,
         exploration_noise: float = 0.1,
+        policy_delay: int | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(policy, env, **{"replay_buffer_class": GuidedReplayBuffer, **options})
+        options = {"replay_buffer_class": GuidedReplayBuffer, **options}
+        super().__init__(policy, env, policy_delay=policy_delay or 2, **options)
         self._begin(guide, exploration_noise)
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
@@ -55,7 +57,8 @@ class GuidedTD3(GuidedExploration, TD3):
                 next_action = (self.actor_target(batch.next_observations) + noise).clamp(-1, 1)
                 target = torch.cat(self.critic_target(batch.next_observations, next_action), dim=1)
                 target = target.min(dim=1, keepdim=True).values
-                target = batch.rewards + (1.0 - batch.dones) * self.gamma * target
+                discount = self.gamma if batch.discounts is None else batch.discounts
+                target = batch.rewards + (1.0 - batch.dones) * discount * target
             values = self.critic(batch.observations, batch.actions)
             critic_loss = torch.stack(
                 [functional.mse_loss(value, target) for value in values]
@@ -73,10 +76,8 @@ class GuidedTD3(GuidedExploration, TD3):
                 actor_loss = -value.mean()
                 cloning = torch.zeros((), device=self.device)
                 if beta > 0:
-                    with torch.no_grad():
-                        found = self.critic(batch.observations, batch.guide_actions)
-                        least = torch.cat(found, dim=1).min(dim=1, keepdim=True).values
-                    weight = imitation_weight(least, batch.guided)
+                    weight, scale = self._cloning_weight(batch, value)
+                    actor_loss = actor_loss / scale
                     cloning = squared_cloning(batch.guide_actions, action, weight)
                 self.actor.optimizer.zero_grad()
                 (actor_loss + beta * cloning).backward()

@@ -24,6 +24,9 @@ from learning.exploration.mixture import (
     value_probabilities,
 )
 
+CLONED = (None, "acted", "visited")
+CLONINGS = ("likelihood", "squared")
+CLONING_WEIGHTS = ("value", "equal", "better")
 METHODS = ("rl", "rl+bc", "fge", "vge", "vge+bc")
 Values = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -58,7 +61,19 @@ class GuidanceConfig:
         temperature: of VGE's softmax; 1 is the thesis's.
         fixed_start: FGE's share of the controllers at step 0; it falls linearly to 0 at the hard
             stop. The thesis gives no numbers; ours.
-        beta: weight of behaviour cloning at step 0; falls linearly to 0 at the hard stop. Ours.
+        beta: weight of behaviour cloning at step 0; falls linearly. Ours.
+        beta_end: what it falls to; the thesis has 0.
+        beta_stop: the step at which it is there; None: the hard stop.
+        cloned: what the methods with bc imitate: "acted", the controllers' actions in the steps
+            that they did (the thesis's VGE+BC), or "visited", what the first controller would do
+            in every state that comes about, whoever acts (as in dataset aggregation; Ross et al.
+            2011). RL+BC, where no controller acts, knows "visited" only. None: the method's.
+        cloning: "likelihood" (the thesis's), or "squared": the squared distance between the
+            policy's mean action and the controller's. TD3 knows "squared" only.
+        cloning_weight: of each imitated action: "value", max(Q, 0) as in the thesis; "equal":
+            1, with the actor's own loss divided by the mean |Q| (Fujimoto and Gu 2021), so
+            that beta means the same however large values are; or "better": 1 where the critics
+            prefer the controller's action to the policy's, else 0 (Nair et al. 2018).
     """
 
     method: str = "vge"
@@ -67,18 +82,37 @@ class GuidanceConfig:
     temperature: float = 1.0
     fixed_start: float = 1.0
     beta: float = 0.1
+    beta_end: float = 0.0
+    beta_stop: int | None = None
+    cloned: str | None = None
+    cloning: str = "likelihood"
+    cloning_weight: str = "value"
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise UnknownName("method", self.method, METHODS)
         if self.horizon is not None and not self.horizon >= 1:
             raise InvalidInput(f"horizon is {self.horizon}; expected steps of at least 1, or None")
+        for name, known in (
+            ("cloned", CLONED), ("cloning", CLONINGS), ("cloning_weight", CLONING_WEIGHTS),
+        ):  # fmt: skip
+            if getattr(self, name) not in known:
+                raise UnknownName(name, getattr(self, name), [str(one) for one in known])
+        if self.cloned == "acted" and self.method == "rl+bc":
+            raise InvalidInput("cloned is 'acted', and no controller acts in the method 'rl+bc'")
+        if self.beta_stop is not None and self.beta_stop < 1:
+            raise InvalidInput(f"beta_stop is {self.beta_stop}; expected steps from 1 on, or None")
         check_numbers(
             self,
             positive=("temperature",),
-            not_negative=("hard_stop", "beta"),
+            not_negative=("hard_stop", "beta", "beta_end"),
             fractions=("fixed_start",),
         )
+
+    @property
+    def labels_all(self) -> bool:
+        """Whether every state is labelled with what the first controller would do."""
+        return self.imitates and (self.method == "rl+bc" or self.cloned == "visited")
 
     @property
     def follows(self) -> bool:
@@ -156,7 +190,10 @@ class Guide:
     def beta(self, step: int) -> float:
         """Weight of behaviour cloning at environment step ``step``."""
         config = self.config
-        return linear_decay(step, config.beta, config.hard_stop) if config.imitates else 0.0
+        if not config.imitates:
+            return 0.0
+        stop = config.hard_stop if config.beta_stop is None else config.beta_stop
+        return config.beta_end + linear_decay(step, config.beta - config.beta_end, stop)
 
     def act(self, step: int, learner: np.ndarray, values: Values) -> Guided:
         """What each environment does.
@@ -185,6 +222,8 @@ class Guide:
         actor = self.segments.actor
         action = proposed[actor, np.arange(len(actor))]
         self.acted += np.bincount(actor, minlength=len(self.acted))
+        if self.config.labels_all:
+            return Guided(action, actor, ~nobody, proposed[1])
         return Guided(action, actor, actor != POLICY, action)
 
     def _ask(self, due: Bools) -> list[np.ndarray]:

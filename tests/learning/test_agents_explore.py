@@ -274,7 +274,7 @@ def test_replay_keeps_labels_beside_actions() -> None:
     batch = buffer.sample(300)
     assert set(batch.rewards.flatten().tolist()) == {2.0, 3.0}
     assert (batch.guide_actions == -batch.rewards).all() and (batch.actions == 0.5).all()
-    assert buffer.nbytes == 4 * 10 * (2 + 2 + 3 + 1 + 1 + 1 + 3)
+    assert buffer.nbytes == 4 * 10 * (2 + 2 + 3 + 1 + 1 + 1 + 1 + 3)
     again = GuidedReplayBuffer(10, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", 5, labels=True)
     again.load_state_dict(buffer.state_dict())
     assert (again.sample(50).rewards == buffer.sample(50).rewards).all()

@@ -1,0 +1,61 @@
+"""Trained policies that come with the package, by name; each file has its card beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.hand import HandModel
+from learning.policy import Policy, load_policy
+
+FOLDER = Path(__file__).parent
+
+
+def names() -> tuple[str, ...]:
+    """What `load` takes: HAND-OBJECT, or HAND-easy for one policy for several objects."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.npz")))
+
+
+def load(name: str, *, hand: HandModel | str | None = None) -> Policy:
+    """The policy ``name``, with the hand it was trained on or with ``hand``.
+
+    Raises:
+        UnknownName: there is no such policy.
+        InvalidInput: it is for another hand.
+    """
+    if name not in names():
+        raise UnknownName("policy", name, names())
+    return load_policy(FOLDER / f"{name}.npz", hand=hand)
+
+
+def learned(hand: HandModel, *, control_period: float = 0.05, policy: str | None = None) -> Policy:
+    """The controller of the name "learned": a policy that was trained on ``hand``.
+
+    Args:
+        hand: the hand.
+        control_period: must be the one that the policy was trained with [s].
+        policy: one of `names`; None is the first that was trained on a hand of this name, one for
+            several objects before those for single ones.
+
+    Raises:
+        UnknownName, InvalidInput: there is no such policy, or none for this hand or period.
+    """
+    if policy is None:
+        own = [name for name in names() if name.startswith(f"{hand.path.stem}-")]
+        if not own:
+            known = sorted({name.rpartition("-")[0] for name in names()})
+            raise InvalidInput(
+                f"no learned policy comes with dexctl for the hand {hand.path.stem!r}; there is "
+                f"one for {', '.join(known)}, and `dexctl train` makes others"
+            )
+        own.sort(key=lambda name: not name.endswith("-easy"))
+        policy = own[0]
+    found = load(policy, hand=hand)
+    if not np.isclose(control_period, found.control_period):
+        raise InvalidInput(
+            f"control_period is {control_period}; the policy {policy!r} was trained with "
+            f"{found.control_period}"
+        )
+    return found
