@@ -40,6 +40,8 @@ class TrainConfig:
         buffer_size: transitions that the replay buffer holds; one takes about 0.6 kB.
         learning_starts: steps before the first update; the policy's part in them is random.
         exploration_noise: standard deviation added to the policy's actions (TD3 only).
+        overlap: let the environments step while the updates run; the policy that acts is then
+            older by ``gradient_steps`` updates, and everything else as it is without.
         device: "auto" takes a GPU where there is one.
         torch_threads: that the updates use.
         log_every: steps between two rows of the logs.
@@ -62,6 +64,7 @@ class TrainConfig:
     buffer_size: int = 500_000
     learning_starts: int = 5_000
     exploration_noise: float = 0.1
+    overlap: bool = True
     device: str = "auto"
     torch_threads: int = 1
     log_every: int = 10_000

@@ -25,6 +25,7 @@ class GuidedSAC(GuidedExploration, SAC):
         policy, env, **options: as `stable_baselines3.SAC`'s; ``ent_coef`` must be a number.
         guide: who acts.
         exploration_noise: added to the policy's actions.
+        overlap: whether environments step while the updates run, see `OverlappedLoop`.
     """
 
     def __init__(
@@ -34,11 +35,12 @@ class GuidedSAC(GuidedExploration, SAC):
         *,
         guide: Guide | None = None,
         exploration_noise: float = 0.0,
+        overlap: bool = False,
         **options: Any,
     ) -> None:
         options = {"ent_coef": 0.0, "replay_buffer_class": GuidedReplayBuffer, **options}
         super().__init__(policy, env, **options)
-        self._begin(guide, exploration_noise)
+        self._begin(guide, exploration_noise, overlap)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """``gradient_steps`` updates of critic, actor and target."""
