@@ -72,6 +72,9 @@ class Train:
     """Transitions that are remembered; each takes about 0.6 kB of memory and of checkpoint."""
     learning_starts: int = 5_000
     """Steps before the first update."""
+    overlap: bool = True
+    """Let the environments step while the updates run; a policy then acts that is gradient-steps
+    updates older."""
     device: str = "auto"
     """auto takes a GPU where there is one; else cpu or cuda."""
     torch_threads: int = 1
@@ -169,6 +172,7 @@ class Train:
             network=self.network,
             buffer_size=self.buffer_size,
             learning_starts=self.learning_starts,
+            overlap=self.overlap,
             device=self.device,
             torch_threads=self.torch_threads,
             log_every=self.log_every,

@@ -47,6 +47,8 @@ class TrainConfig:
         policy_delay: updates of the critics to one of the actor; None: the algorithm's own (SAC 1,
             TD3 2).
         exploration_noise: standard deviation added to the policy's actions (TD3 only).
+        overlap: let the environments step while the updates run; the policy that acts is then
+            older by ``gradient_steps`` updates, and everything else as it is without.
         device: "auto" takes a GPU where there is one.
         torch_threads: that the updates use.
         log_every: steps between two rows of the logs.
@@ -73,6 +75,7 @@ class TrainConfig:
     n_step: int = 1
     policy_delay: int | None = None
     exploration_noise: float = 0.1
+    overlap: bool = True
     device: str = "auto"
     torch_threads: int = 1
     log_every: int = 10_000

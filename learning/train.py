@@ -125,6 +125,7 @@ def build(config: TrainConfig) -> Agent:
     )
     options: dict[str, Any] = {
         "guide": guide,
+        "overlap": config.overlap,
         "learning_rate": config.learning_rate,
         "buffer_size": config.buffer_size,
         "learning_starts": config.learning_starts,

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
+from learning.agents.loop import OverlappedLoop
 from learning.agents.losses import cloning_weight
 from learning.agents.replay import GuidedReplayBuffer, GuidedSamples
 from learning.exploration.guide import Guide, Guided
 
 
-class GuidedExploration(OffPolicyAlgorithm):
+class GuidedExploration(OverlappedLoop):
     """Mixed in before a stable-baselines3 algorithm: its behaviour becomes the guide's.
 
     The two hook points are `_sample_action`, which decides who acts, and `_store_transition`,
@@ -34,9 +34,10 @@ class GuidedExploration(OffPolicyAlgorithm):
     actor: Any
     replay_buffer: GuidedReplayBuffer | None
 
-    def _begin(self, guide: Guide | None, exploration_noise: float) -> None:
+    def _begin(self, guide: Guide | None, exploration_noise: float, overlap: bool) -> None:
         self.guide = guide
         self.exploration_noise = exploration_noise
+        self.overlap = overlap
         self.statistics: dict[str, float] = {}
         self._choice: Guided | None = None
 

@@ -26,6 +26,7 @@ class GuidedSAC(GuidedExploration, SAC):
         guide: who acts.
         exploration_noise: added to the policy's actions.
         policy_delay: updates of the critics to one of the actor; None: 1.
+        overlap: whether environments step while the updates run, see `OverlappedLoop`.
     """
 
     def __init__(
@@ -36,11 +37,12 @@ class GuidedSAC(GuidedExploration, SAC):
         guide: Guide | None = None,
         exploration_noise: float = 0.0,
         policy_delay: int | None = None,
+        overlap: bool = False,
         **options: Any,
     ) -> None:
         options = {"ent_coef": 0.0, "replay_buffer_class": GuidedReplayBuffer, **options}
         super().__init__(policy, env, **options)
-        self._begin(guide, exploration_noise)
+        self._begin(guide, exploration_noise, overlap)
         self.policy_delay = policy_delay or 1
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:

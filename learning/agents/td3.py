@@ -23,6 +23,7 @@ class GuidedTD3(GuidedExploration, TD3):
         policy, env, **options: as `stable_baselines3.TD3`'s.
         guide: who acts.
         exploration_noise: standard deviation of what is added to the policy's actions.
+        overlap: whether environments step while the updates run, see `OverlappedLoop`.
     """
 
     def __init__(
@@ -33,11 +34,12 @@ class GuidedTD3(GuidedExploration, TD3):
         guide: Guide | None = None,
         exploration_noise: float = 0.1,
         policy_delay: int | None = None,
+        overlap: bool = False,
         **options: Any,
     ) -> None:
         options = {"replay_buffer_class": GuidedReplayBuffer, **options}
         super().__init__(policy, env, policy_delay=policy_delay or 2, **options)
-        self._begin(guide, exploration_noise)
+        self._begin(guide, exploration_noise, overlap)
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
         """``gradient_steps`` updates of the critic; of actor and targets at every second one."""
