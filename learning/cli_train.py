@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import make_folder, parse_gravity
 from dexctl.exceptions import InvalidInput, MissingExtra, UnknownName
+from learning.cli_env_options import EnvOptions
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -72,6 +73,7 @@ class Train:
     """Transitions that are remembered; each takes about 0.6 kB of memory and of checkpoint."""
     learning_starts: int = 5_000
     """Steps before the first update."""
+    env: EnvOptions = field(default_factory=EnvOptions)
     device: str = "auto"
     """auto takes a GPU where there is one; else cpu or cuda."""
     torch_threads: int = 1
@@ -128,24 +130,19 @@ class Train:
             UnknownName, InvalidInput: an option is wrong.
         """
         from dexctl.sim import object_names
-        from learning.envs import EnvConfig
         from learning.exploration import GuidanceConfig
         from learning.settings import TrainConfig
 
         for name in self.object:
             if name not in object_names():
                 raise UnknownName("object", name, object_names())
-        gravity = parse_gravity(self.gravity)
-        if not isinstance(gravity, str):
-            x, y, z = gravity
-            gravity = (x, y, z)
         if not self.object:
             raise InvalidInput("--object is empty; expected one or several names")
         return TrainConfig(
-            env=EnvConfig(
+            env=self.env.config(
                 hand=self.hand,
                 object=self.object[0] if len(self.object) == 1 else self.object,
-                gravity=gravity,
+                gravity=parse_gravity(self.gravity),
                 episode_steps=self.episode_steps,
                 scaled=self.scaled,
             ),
