@@ -8,7 +8,7 @@ before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -133,13 +133,22 @@ def entry(name: str) -> ControllerEntry:
     return known[name]
 
 
-def make(name: str, hand: HandModel, *, control_period: float = 0.05, **options: Any) -> Controller:
+def make(
+    name: str,
+    hand: HandModel,
+    *,
+    control_period: float = 0.05,
+    axis: tuple[float, float, float] | None = None,
+    **options: Any,
+) -> Controller:
     """The controller ``name`` for ``hand``.
 
     Args:
         name: one of `names`.
         hand: the hand.
         control_period: time between two calls of ``act`` [s].
+        axis: unit vector, hand frame, about which the object is to be turned, with the speed that
+            the controller's settings have; None keeps their axis, which is z by default.
         **options: what else the controller's class takes, settings among it.
 
     Raises:
@@ -148,4 +157,22 @@ def make(name: str, hand: HandModel, *, control_period: float = 0.05, **options:
     """
     found = entry(name)
     kind = getattr(import_module(found.module), found.attribute)
-    return kind(hand, control_period=control_period, **options)
+    controller = kind(hand, control_period=control_period, **options)
+    config = getattr(controller, "config", None)
+    if axis is None or config is None:
+        return controller
+    turned = _about(config, axis)
+    return controller if turned is config else kind(hand, turned, control_period=control_period)
+
+
+def _about(config: Any, axis: tuple[float, float, float]) -> Any:
+    """A controller's settings with its rotation about ``axis``; the same object where it is so."""
+    if hasattr(config, "in_grasp"):
+        inner = _about(config.in_grasp, axis)
+        return config if inner is config.in_grasp else replace(config, in_grasp=inner)
+    if hasattr(config, "twist"):
+        speed = float(np.linalg.norm(config.twist[3:]))
+        spin = tuple(speed * float(x) for x in axis)
+        same = np.allclose(spin, config.twist[3:], rtol=0.0, atol=1e-12)
+        return config if same else replace(config, twist=(*config.twist[:3], *spin))
+    return config if tuple(config.axis) == tuple(axis) else replace(config, axis=tuple(axis))

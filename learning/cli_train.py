@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import make_folder, parse_gravity
 from dexctl.exceptions import InvalidInput, MissingExtra, UnknownName
+from learning.cli_env_options import EnvOptions
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -29,6 +30,9 @@ class Train:
     """rl, rl+bc, fge, vge or vge+bc."""
     controller: tuple[str, ...] = ("gait",)
     """Controllers that guide, one or several; not used by the method rl."""
+    recipe: str = "thesis"
+    """Settings that belong together: thesis, or fast, which learns to gait within 1 million steps.
+    Each setting given on the command line goes before the recipe's."""
     algorithm: str = "sac"
     """sac (entropy coefficient 0) or td3."""
     hand: str = "dex5"
@@ -50,22 +54,44 @@ class Train:
     """Bring observations to about unit size; the thesis has them in SI units."""
     horizon: int | None = None
     """Steps that a choice of who acts holds for; by default as long as the controller's motion."""
-    hard_stop: int = 4_000_000
-    """Environment steps after which the controllers are asked no more."""
+    hard_stop: int | None = None
+    """Environment steps after which the controllers are asked no more; by default the recipe's:
+    4 million in the thesis."""
     temperature: float = 1.0
     """Of the choice by value; 1 is the thesis's."""
     fixed_start: float = 1.0
     """Share of the controllers that FGE starts with."""
-    beta: float = 0.1
-    """Weight of behaviour cloning that the methods with bc start with."""
+    beta: float | None = None
+    """Weight of behaviour cloning that the methods with bc start with; by default the recipe's."""
+    beta_end: float = 0.0
+    """What it falls to."""
+    beta_stop: int | None = None
+    """The step at which it is there; by default the hard stop."""
+    cloned: str | None = None
+    """acted: clone what controllers did; visited: what the first would do wherever the policy
+    goes."""
+    cloning: str | None = None
+    """likelihood, the thesis's, or squared; TD3 knows squared only."""
+    cloning_weight: str | None = None
+    """value, the thesis's; equal; or better: only where the critics prefer the controller."""
     gamma: float = 0.99
     """Discount."""
     batch_size: int = 512
     """Transitions of an update."""
     gradient_steps: int = 2
     """Updates for each step of all environments together."""
-    learning_rate: float = 3e-4
-    """Of actor and critics."""
+    learning_rate: float | None = None
+    """Of actor and critics; by default the recipe's."""
+    tau: float | None = None
+    """How far the target critics follow at each update; by default the recipe's."""
+    n_step: int | None = None
+    """Steps of the critics' returns; 1 in the thesis."""
+    layer_norm: bool = False
+    """Layer normalisation in the critics."""
+    critic_parts: tuple[str, ...] | None = None
+    """Parts of the observation that only the critics see; none in the thesis."""
+    policy_delay: int | None = None
+    """Updates of the critics to one of the actor; by default the algorithm's."""
     network: tuple[int, ...] = (256, 256)
     """Widths of the hidden layers."""
     buffer_size: int = 500_000
@@ -75,6 +101,7 @@ class Train:
     overlap: bool = True
     """Let the environments step while the updates run; a policy then acts that is gradient-steps
     updates older."""
+    env: EnvOptions = field(default_factory=EnvOptions)
     device: str = "auto"
     """auto takes a GPU where there is one; else cpu or cuda."""
     torch_threads: int = 1
@@ -131,53 +158,72 @@ class Train:
             UnknownName, InvalidInput: an option is wrong.
         """
         from dexctl.sim import object_names
-        from learning.envs import EnvConfig
         from learning.exploration import GuidanceConfig
+        from learning.recipes import recipe
         from learning.settings import TrainConfig
 
         for name in self.object:
             if name not in object_names():
                 raise UnknownName("object", name, object_names())
-        gravity = parse_gravity(self.gravity)
-        if not isinstance(gravity, str):
-            x, y, z = gravity
-            gravity = (x, y, z)
         if not self.object:
             raise InvalidInput("--object is empty; expected one or several names")
+        chosen = recipe(self.recipe, self.method)
+        env = dict(chosen.env) | _given(scaled=self.scaled or None)
+        guidance = dict(chosen.guidance) | _given(
+            hard_stop=self.hard_stop,
+            beta=self.beta,
+            beta_stop=self.beta_stop,
+            cloned=self.cloned,
+            cloning=self.cloning,
+            cloning_weight=self.cloning_weight,
+        )
+        training = dict(chosen.training) | _given(
+            steps=self.steps,
+            learning_rate=self.learning_rate,
+            tau=self.tau,
+            n_step=self.n_step,
+            layer_norm=self.layer_norm or None,
+            critic_parts=self.critic_parts,
+        )
         return TrainConfig(
-            env=EnvConfig(
+            env=self.env.config(
                 hand=self.hand,
                 object=self.object[0] if len(self.object) == 1 else self.object,
-                gravity=gravity,
+                gravity=parse_gravity(self.gravity),
                 episode_steps=self.episode_steps,
-                scaled=self.scaled,
+                **env,
             ),
             guidance=GuidanceConfig(
                 method=self.method,
                 horizon=self.horizon,
-                hard_stop=self.hard_stop,
                 temperature=self.temperature,
                 fixed_start=self.fixed_start,
-                beta=self.beta,
+                beta_end=self.beta_end,
+                **guidance,
             ),
             controllers=self.controller,
             algorithm=self.algorithm,
-            steps=1_000_000 if self.steps is None else self.steps,
             seed=self.seed,
             num_envs=self.num_envs,
             gamma=self.gamma,
             batch_size=self.batch_size,
             gradient_steps=self.gradient_steps,
-            learning_rate=self.learning_rate,
             network=self.network,
             buffer_size=self.buffer_size,
             learning_starts=self.learning_starts,
+            policy_delay=self.policy_delay,
             overlap=self.overlap,
             device=self.device,
             torch_threads=self.torch_threads,
             log_every=self.log_every,
             checkpoint_every=self.checkpoint_every,
+            **training,
         )
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    """Those that are not None."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 class _Bar:

@@ -119,7 +119,10 @@ def build(config: TrainConfig) -> Agent:
     period = config.env.control_period
     guide = Guide(
         env,
-        [controllers.make(name, env.hand, control_period=period) for name in names],
+        [
+            controllers.make(name, env.hand, control_period=period, axis=config.env.direction)
+            for name in names
+        ],
         config.guidance,
         config.seed,
     )

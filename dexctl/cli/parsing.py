@@ -73,6 +73,13 @@ def check_count(option: str, value: int) -> int:
 
 def parse_gravity(text: str) -> str | tuple[float, ...]:
     """Numbers [m/s^2] of "x,y,z"; "up" and "down" stay, the simulator knows them."""
+    return parse_vector("--gravity", text, "up, down, or three numbers x,y,z in m/s^2")
+
+
+def parse_vector(
+    option: str, text: str, expected: str = "x, y, z, or three numbers x,y,z"
+) -> str | tuple[float, ...]:
+    """Three finite numbers of "x,y,z"; one word stays as it is."""
     parts = text.split(",")
     if len(parts) == 1:
         return text
@@ -81,9 +88,7 @@ def parse_gravity(text: str) -> str | tuple[float, ...]:
     except ValueError:
         vector = ()
     if len(vector) != 3 or not all(math.isfinite(number) for number in vector):
-        raise InvalidInput(
-            f"--gravity is {text!r}; expected up, down, or three numbers x,y,z in m/s^2"
-        )
+        raise InvalidInput(f"{option} is {text!r}; expected {expected}")
     return vector
 
 

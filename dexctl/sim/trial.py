@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
@@ -173,20 +174,33 @@ def _trace(
     )
 
 
-def rotation_about_z(quaternion: Floats, held: Bools | None = None) -> Floats:
-    """Unwrapped angle about z since the first row, ``(T, ...)`` [rad], of ``(T, ..., 4)`` wxyz.
+def rotation_about(
+    quaternion: Floats, axis: ArrayLike = (0.0, 0.0, 1.0), held: Bools | None = None
+) -> Floats:
+    """Unwrapped angle about ``axis`` since the first row, ``(T, ...)`` [rad].
 
-    The turn about z is the twist of the swing-twist decomposition, so tilting alone does not
-    count. Where ``held`` ``(T, ...)`` is False the angle stands still.
+    The turn about an axis is the twist of the swing-twist decomposition, so tilting alone does not
+    count.
+
+    Args:
+        quaternion: ``(T, ..., 4)`` wxyz.
+        axis: unit vector ``(3,)``, world frame.
+        held: ``(T, ...)``; where it is False the angle stands still.
     """
     relative = multiply(quaternion, inverse(np.broadcast_to(quaternion[:1], quaternion.shape)))
-    angle = np.unwrap(2.0 * np.arctan2(relative[..., 3], relative[..., 0]), axis=0)
+    twist = relative[..., 1:] @ np.asarray(axis, float)
+    angle = np.unwrap(2.0 * np.arctan2(twist, relative[..., 0]), axis=0)
     if held is None:
         return angle
     last = np.maximum.accumulate(
         np.where(held, np.arange(len(held)).reshape(-1, *(1,) * (held.ndim - 1)), 0), axis=0
     )
     return np.take_along_axis(angle, last, axis=0)
+
+
+def rotation_about_z(quaternion: Floats, held: Bools | None = None) -> Floats:
+    """`rotation_about` the z axis."""
+    return rotation_about(quaternion, held=held)
 
 
 def _numbers(diagnostics: Mapping[str, object], batch: tuple[int, ...]) -> dict[str, np.ndarray]:

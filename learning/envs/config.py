@@ -18,6 +18,25 @@ from learning.envs.pushes import Push
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
+def unit_axis(axis: str | tuple[float, ...]) -> tuple[float, float, float]:
+    """A hand axis by name, or a vector, as a unit vector.
+
+    Raises:
+        UnknownName: no such name.
+        InvalidInput: no vector of three numbers, or one without length.
+    """
+    if isinstance(axis, str):
+        if axis not in AXES:
+            raise UnknownName("axis", axis, [*AXES, "a vector (x, y, z)"])
+        return AXES[axis]
+    vector = np.asarray(axis, float)
+    length = np.linalg.norm(vector) if vector.shape == (3,) else 0.0
+    if not (np.isfinite(length) and length > 0):
+        raise InvalidInput(f"axis is {axis}; expected x, y, z or a vector of length > 0")
+    x, y, z = vector / length
+    return float(x), float(y), float(z)
+
+
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
     """Settings of the finger-gaiting environments.
@@ -51,6 +70,8 @@ class EnvConfig:
         force_noise: of observed forces, as a share of the force.
         push_force: size of the force that pulls at the object [N]; see `learning.envs.pushes`.
         push_seconds: how long it pulls into one direction [s].
+        latency: how old what is observed of joints, touch and object is, rounded to control
+            steps [s]; see `learning.envs.latency`.
         initial_states: file of states that episodes start from (`InitialStates`); None is the
             settled grasp.
         threads: of the physics; None is every core.
@@ -83,6 +104,7 @@ class EnvConfig:
     force_noise: float = 0.0
     push_force: float = 0.0
     push_seconds: float = 1.0
+    latency: float = 0.0
     initial_states: str | Path | None = None
     threads: int | None = None
 
@@ -112,6 +134,7 @@ class EnvConfig:
                 "normal_noise",
                 "force_noise",
                 "push_force",
+                "latency",
             ),
         )
         for name, least in (("episode_steps", 1), ("substeps", 1), ("min_fingertips", 0)):
@@ -129,16 +152,7 @@ class EnvConfig:
     @property
     def direction(self) -> tuple[float, float, float]:
         """``axis`` as a unit vector."""
-        if isinstance(self.axis, str):
-            if self.axis not in AXES:
-                raise UnknownName("axis", self.axis, [*AXES, "a vector (x, y, z)"])
-            return AXES[self.axis]
-        vector = np.asarray(self.axis, float)
-        length = np.linalg.norm(vector) if vector.shape == (3,) else 0.0
-        if not (np.isfinite(length) and length > 0):
-            raise InvalidInput(f"axis is {self.axis}; expected x, y, z or a vector of length > 0")
-        x, y, z = vector / length
-        return float(x), float(y), float(z)
+        return unit_axis(self.axis)
 
     @property
     def noise(self) -> SensorNoise:
@@ -154,6 +168,11 @@ class EnvConfig:
     def push(self) -> Push:
         """Of the object."""
         return Push(force=self.push_force, seconds=self.push_seconds)
+
+    @property
+    def latency_steps(self) -> int:
+        """``latency`` in control steps."""
+        return round(self.latency / self.control_period)
 
     @property
     def max_change(self) -> float:

@@ -23,6 +23,7 @@ from learning.envs.batches import merged, random_seed, spread_seeds
 from learning.envs.config import EnvConfig
 from learning.envs.episode import Episodes
 from learning.envs.initial_states import InitialStates, StateSampler
+from learning.envs.latency import Delay
 from learning.envs.noise import observed
 from learning.envs.observation import Observation
 from learning.envs.pushes import Pusher
@@ -47,6 +48,7 @@ class EnvState:
     force: Floats
     episodes: dict[str, np.ndarray]
     diverged_count: int
+    sensed: tuple[GraspState, ...] = ()
 
 
 class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
@@ -139,6 +141,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self._pusher = Pusher(
             self.config.push, Streams(first + _PUSH_SEED, (num_envs,)), self.config.control_period
         )
+        self._delay = Delay(self.config.latency_steps)
         self._renderer: Renderer | None = None
         self.diverged_count = 0
         self._state = self.sim.read()
@@ -298,7 +301,8 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         )
 
     def _observe(self, mask: Bools | None) -> NDArray[np.float32]:
-        return self.observation(observed(self._state, self._sensor_noise, self._noise, mask))
+        sensed = observed(self._state, self._sensor_noise, self._noise, mask)
+        return self.observation(self._delay(sensed, mask))
 
     def save(self) -> EnvState:
         """All that decides the future, to be given to :meth:`restore`."""
@@ -311,6 +315,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
             force=self._pusher.force.copy(),
             episodes=self._episodes.save(),
             diverged_count=self.diverged_count,
+            sensed=self._delay.save(),
         )
 
     def restore(self, saved: EnvState) -> None:
@@ -327,6 +332,7 @@ class FingerGaitingVectorEnv(gymnasium.vector.VectorEnv):
         self._pusher.force = saved.force.copy()
         self._episodes.restore(saved.episodes)
         self.diverged_count = saved.diverged_count
+        self._delay.restore(saved.sensed)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Pictures of the first environment of each object ("rgb_array"), or the window."""

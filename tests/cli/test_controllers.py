@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -53,3 +55,20 @@ def test_an_unknown_name_gets_the_known_ones(dex5: dexctl.HandModel) -> None:
 def test_a_bad_option_is_named(dex5: dexctl.HandModel) -> None:
     with pytest.raises(dexctl.InvalidInput, match="grip_force is -1"):
         controllers.make("igm", dex5, grip_force=-1)
+
+
+@pytest.mark.parametrize("name", controllers.names())
+def test_an_axis_turns_them_with_the_same_speed(name: str, dex5: dexctl.HandModel) -> None:
+    plain: Any = controllers.make(name, dex5)
+    about_z: Any = controllers.make(name, dex5, axis=(0.0, 0.0, 1.0))
+    other: Any = controllers.make(name, dex5, axis=(0.0, -1.0, 0.0))
+    if name == "hold":
+        assert not hasattr(other, "config")
+        return
+    assert about_z.config == plain.config
+    if name == "switch":
+        assert other.config.axis == (0.0, -1.0, 0.0)
+        return
+    grasp = {"igm": lambda config: config}.get(name, lambda config: config.in_grasp)
+    before, after = grasp(plain.config), grasp(other.config)
+    assert after.twist == pytest.approx((0.0, 0.0, 0.0, 0.0, -before.twist[5], 0.0))

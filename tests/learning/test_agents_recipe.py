@@ -16,10 +16,12 @@ import torch
 from torch import nn
 
 import dexctl
+from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
 from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3
 from learning.agents.losses import cloning_weight
 from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
+from learning.cli_train import Train
 from learning.envs import EnvConfig
 from learning.exploration import GuidanceConfig, Guide
 from learning.policy import load_policy
@@ -229,3 +231,18 @@ def test_a_policy_trained_with_all_of_it_needs_its_own_parts_only(
     policy = load_policy(found["policy"])
     assert policy.observation.parts == ("q", "q_target", "touch")
     assert policy.layers[0].weight.shape == (16, 35)
+
+
+def test_recipes_on_the_command_line() -> None:
+    def config(*arguments: str) -> TrainConfig:
+        command = parse(Train, "dexctl train", arguments)
+        assert command is not None
+        return command.config()
+
+    assert config() == TrainConfig(env=EnvConfig(latency=0.0))
+    fast = config("--recipe", "fast", "--method", "vge+bc", "--tau", "0.1")
+    assert (fast.n_step, fast.tau, fast.env.scaled, fast.layer_norm) == (5, 0.1, True, True)
+    assert (fast.guidance.cloned, fast.guidance.beta) == ("visited", 10.0)
+    assert config("--recipe", "fast", "--method", "rl").guidance.beta == GuidanceConfig().beta
+    with pytest.raises(UnknownName, match="'slow'; known: thesis, fast"):
+        config("--recipe", "slow")

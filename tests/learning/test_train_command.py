@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import tomllib
+from dataclasses import fields
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,9 @@ import learning
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 from learning import checkpoint
+from learning.cli_env_options import EnvOptions
 from learning.cli_train import Train
+from learning.envs import EnvConfig, InitialStates
 from learning.run_log import COLUMNS, RunLog, Tally
 from learning.settings import TrainConfig
 from learning.train import build, policy_layers, train
@@ -121,6 +124,11 @@ def test_an_interrupted_run_saves_first(tmp_path: Path) -> None:
         ("--learning-rate nan", "learning_rate is nan"),
         ("--network 0", "network is \\(0,\\)"),
         ("--buffer-size 64", "buffer_size is 64; expected at least one batch"),
+        ("--env.axis w", "unknown axis 'w'; known: x, y, z"),
+        ("--env.axis=1,2", "--env.axis is '1,2'; expected x, y, z, or three numbers"),
+        ("--env.parts q smell", "unknown observation part 'smell'; known: q, q_target"),
+        ("--env.latency nan", "latency is nan"),
+        ("--env.initial-states none.npz", "initial_states '.*none.npz' cannot be read"),
         ("--seed -1", "seed is -1"),
         ("--resume /nowhere/at/all", "there is no run in /nowhere/at/all"),
     ],
@@ -131,6 +139,43 @@ def test_bad_input(tmp_path: Path, arguments: str, said: str) -> None:
         command(*arguments.split(), "--out", str(folder)).run()
     assert "\n" not in str(caught.value)
     assert not folder.exists()
+
+
+def test_every_setting_of_the_environments_has_a_flag(tmp_path: Path) -> None:
+    plain = command().config().env
+    assert plain == EnvConfig()
+    own = {"hand", "object", "gravity", "episode_steps", "scaled"}
+    known = {field.name for field in fields(EnvOptions)}
+    assert known | own == {field.name for field in fields(EnvConfig)}
+    assert not known & own
+    assert own <= {field.name for field in fields(Train)}
+    states = tmp_path / "states.npz"
+    InitialStates(
+        q=np.zeros((1, 1)),
+        q_target=np.zeros((1, 1)),
+        object_position=np.zeros((1, 3)),
+        object_quaternion=np.eye(4)[:1],
+        object=np.array(["cube"]),
+        joint_names=np.array(["j"]),
+    ).save(states)
+    env = command(
+        "--env.axis=0,0,-2", "--env.parts", "q", "touch", "--env.joint-noise", "0.02",
+        "--env.latency", "0.1", "--env.push-force", "1", "--env.initial-states", str(states),
+        "--gravity", "down", "--object", "cube", "sphere",
+    ).config().env  # fmt: skip
+    assert env.direction == (0.0, 0.0, -1.0)
+    assert env.parts == ("q", "touch")
+    assert (env.joint_noise, env.push_force, env.latency_steps) == (0.02, 1.0, 2)
+    assert (env.gravity, env.objects) == ("down", ("cube", "sphere"))
+    assert env.initial_states == str(states)
+
+
+def test_the_controllers_turn_about_the_axis_of_the_environments() -> None:
+    agent = build(command(*SMALL, "--controller", "igm", "--env.axis", "x").config())
+    assert agent.guide is not None
+    (controller,) = agent.guide.controllers
+    assert controller.config.twist[3:] == pytest.approx((0.4, 0.0, 0.0))  # type: ignore[attr-defined]
+    agent.env.close()  # type: ignore[union-attr]
 
 
 def test_no_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

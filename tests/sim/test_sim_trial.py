@@ -8,7 +8,7 @@ import pytest
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
 from dexctl.sim import BatchSimulator, Scene, run
-from dexctl.sim.trial import rotation_about_z
+from dexctl.sim.trial import rotation_about, rotation_about_z
 from dexctl.state import Floats, GraspState
 
 
@@ -89,3 +89,11 @@ def test_what_does_not_fit() -> None:
         run(Hold(scene.hand, control_period=0.02), sim, 1.0)
     with pytest.raises(InvalidInput, match="seconds is 0.01"):
         run(Hold(scene.hand), sim, 0.01)
+
+
+def test_rotation_about_another_axis() -> None:
+    half = 0.25 * np.arange(30)
+    turning = np.stack([np.cos(half), np.sin(half), 0 * half, 0 * half], axis=-1)
+    np.testing.assert_allclose(rotation_about(turning, (1.0, 0.0, 0.0)), 2 * half, atol=1e-9)
+    np.testing.assert_allclose(rotation_about(turning, (-1.0, 0.0, 0.0)), -2 * half, atol=1e-9)
+    np.testing.assert_allclose(rotation_about(turning[:10]), 0.0, atol=1e-12)
