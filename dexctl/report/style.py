@@ -23,6 +23,7 @@ _CONTROLLERS = {
     "switch": ("#b8860b", "-."),
     "gait": ("#cc4b7a", (0, (5, 2))),
     "coordinated": ("#0072b2", "-"),
+    "learned": ("#5b3fa0", "-"),
     "hold": ("#7b8794", ":"),
 }
 _SETTINGS = {
