@@ -9,6 +9,7 @@ from stable_baselines3 import SAC
 from torch.nn import functional
 
 from learning.agents.guided import GuidedExploration, follow, frozen, means
+from learning.agents.least import least_value
 from learning.agents.losses import imitation_weight, likelihood_cloning
 from learning.agents.replay import GuidedReplayBuffer
 from learning.exploration.guide import Guide
@@ -18,8 +19,9 @@ class GuidedSAC(GuidedExploration, SAC):
     """Soft actor-critic whose behaviour is a mixture of its policy and controllers.
 
     The update is stable-baselines3's with a fixed entropy coefficient, plus behaviour cloning
-    where the method has it. It is restated to compute less: the critic is frozen in the actor's
-    loss, and log probabilities are left out where the entropy coefficient is 0, the thesis's.
+    where the method has it. It is restated to compute less: the actor's loss is differentiated
+    through the critic of least value alone (`least_value`), and log probabilities are left out
+    where the entropy coefficient is 0, the thesis's.
 
     Args:
         policy, env, **options: as `stable_baselines3.SAC`'s; ``ent_coef`` must be a number.
@@ -68,16 +70,14 @@ class GuidedSAC(GuidedExploration, SAC):
             self.critic.optimizer.step()
 
             with frozen(self.critic):
-                value = torch.cat(self.critic(batch.observations, action), dim=1)
-                actor_loss = (
-                    entropy_weight * log_prob - value.min(dim=1, keepdim=True).values
-                ).mean()
+                least, value = least_value(self.critic, batch.observations, action)
+                actor_loss = (entropy_weight * log_prob - least).mean()
                 cloning = torch.zeros((), device=self.device)
                 if beta > 0:
                     with torch.no_grad():
                         found = self.critic(batch.observations, batch.guide_actions)
-                        least = torch.cat(found, dim=1).min(dim=1, keepdim=True).values
-                    weight = imitation_weight(least, batch.guided)
+                        cloned = torch.cat(found, dim=1).min(dim=1, keepdim=True).values
+                    weight = imitation_weight(cloned, batch.guided)
                     cloning = likelihood_cloning(batch.guide_actions, mean, log_std, weight)
                 self.actor.optimizer.zero_grad()
                 (actor_loss + beta * cloning).backward()
@@ -87,7 +87,7 @@ class GuidedSAC(GuidedExploration, SAC):
             sums["critic_loss"] += critic_loss.detach()
             sums["actor_loss"] += actor_loss.detach()
             sums["bc_loss"] += cloning.detach()
-            sums["q_mean"] += value.detach().mean()
+            sums["q_mean"] += value.mean()
         self._n_updates += gradient_steps
         self.statistics = means(sums, gradient_steps)
 
