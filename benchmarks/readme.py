@@ -24,6 +24,7 @@ ORDER = {
     "simulator": "open",
     "in_grasp": "open",
     "gaits": "open",
+    "learner": "open",
     "bus": "folded",
     "allegro": "folded",
     "ablation": "folded",

@@ -9,6 +9,7 @@ from stable_baselines3 import SAC
 from torch.nn import functional
 
 from learning.agents.guided import GuidedExploration, follow, frozen, means
+from learning.agents.least import least_value
 from learning.agents.losses import likelihood_cloning, squared_cloning
 from learning.agents.replay import GuidedReplayBuffer
 from learning.exploration.guide import Guide
@@ -18,8 +19,9 @@ class GuidedSAC(GuidedExploration, SAC):
     """Soft actor-critic whose behaviour is a mixture of its policy and controllers.
 
     The update is stable-baselines3's with a fixed entropy coefficient, plus behaviour cloning
-    where the method has it. It is restated to compute less: the critic is frozen in the actor's
-    loss, and log probabilities are left out where the entropy coefficient is 0, the thesis's.
+    where the method has it. It is restated to compute less: the actor's loss is differentiated
+    through the critic of least value alone (`least_value`), and log probabilities are left out
+    where the entropy coefficient is 0, the thesis's.
 
     Args:
         policy, env, **options: as `stable_baselines3.SAC`'s; ``ent_coef`` must be a number.
@@ -80,9 +82,8 @@ class GuidedSAC(GuidedExploration, SAC):
                 continue
 
             with frozen(self.critic):
-                value = torch.cat(self.critic(batch.observations, action), dim=1)
-                value = value.min(dim=1, keepdim=True).values
-                actor_loss = (entropy_weight * log_prob - value).mean()
+                least, value = least_value(self.critic, batch.observations, action)
+                actor_loss = (entropy_weight * log_prob - least).mean()
                 cloning = torch.zeros((), device=self.device)
                 if beta > 0:
                     weight, scale = self._cloning_weight(batch, value)
@@ -97,7 +98,7 @@ class GuidedSAC(GuidedExploration, SAC):
             actor_updates += 1
             sums["actor_loss"] += actor_loss.detach()
             sums["bc_loss"] += cloning.detach()
-            sums["q_mean"] += value.detach().mean()
+            sums["q_mean"] += value.mean()
         critics = {"critic_loss": sums.pop("critic_loss")}
         self.statistics |= means(critics, gradient_steps)
         if actor_updates:

@@ -21,6 +21,9 @@ RUNS: dict[str, list[str]] = {
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "ablation.py": [*SHORT, "--variants", "complete", "no_governor"],
     "allegro.py": SHORT,
+    "learner.py": [
+        *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
+    ],
     "bus.py": ["--cycles", "20", "--rounds", "2"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
 }
@@ -38,7 +41,9 @@ def run(script: str, *arguments: str | Path, **environment: str) -> subprocess.C
 
 
 def test_every_script_is_run_here() -> None:
-    scripts = {path.name for path in FOLDER.glob("*.py")} - {"common.py", "readme.py"}
+    scripts = {path.name for path in FOLDER.glob("*.py")} - {
+        "common.py", "readme.py", "learner_profile.py",
+    }  # fmt: skip
     assert scripts == set(RUNS)
 
 
@@ -47,6 +52,8 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     arguments = [*RUNS[script], "--out", tmp_path]
     if script == "bus.py":
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
+    if script == "learner.py":
+        pytest.importorskip("stable_baselines3", reason="needs the extra 'learning'")
     if script == "allegro.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]
     done = run(script, *arguments)
