@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from dexctl import controllers, hands
-from dexctl.cli.output import notes, print_json, progress, results, to_json
-from dexctl.cli.parsing import check_count, check_seconds, make_folder, parse_gravity
+from dexctl.cli.output import notes, print_json, progress
+from dexctl.cli.parsing import (
+    check_count,
+    check_seconds,
+    make_folder,
+    parse_gravity,
+    parse_vector,
+)
 from dexctl.exceptions import InvalidInput, UnknownName
 
 if TYPE_CHECKING:
-    from dexctl.controller import Controller
+    from rich.progress import TaskID
+
     from learning.evaluate import Evaluation, Protocol
-    from learning.statistics import Estimate
+    from learning.transfer import Trained, Transfer
 
 
 @dataclass(kw_only=True)
@@ -25,163 +32,175 @@ class Evaluate:
 
     Episodes start from the settled grasp with set-points disturbed by N(0, 0.02 rad). An object
     whose centre moves by more than 0.05 m is dropped; rotation is the unwrapped angle about the
-    hand's z axis up to the drop. Intervals are at 95 %: bootstrap over episodes, Wilson for shares.
+    axis up to the drop. Intervals are at 95 %: bootstrap over episodes, Wilson for shares.
+
+    With --out, the same command goes on where it was killed.
     """
 
-    policy: Annotated[str, tyro.conf.Positional]
+    policy: Annotated[str | None, tyro.conf.Positional] = None
     """A policy file (.npz), or the name of a controller: igm, switch, gait, coordinated, hold."""
-    object: tuple[str, ...] = ("cube",)
-    """Name of the object, or several; they are evaluated one after the other."""
-    gravity: str = "up"
-    """Which way the palm looks: up, down, or gravity as x,y,z in m/s^2."""
+    transfer: tuple[str, ...] = ()
+    """Instead of one policy, several of an object each: what each does with the objects of all. The
+    object is in a policy's card; otherwise as in cube=POLICY."""
+    robustness: bool = False
+    """Once more for each kind and level of sensor noise, and of push on the object (20 of them)."""
+    object: tuple[str, ...] = ()
+    """Name of the object, or several, one after the other; by default those that the policy was
+    trained on, and cube for a controller. With --transfer: further ones."""
+    gravity: str | None = None
+    """Which way the palm looks: up, down, or gravity as x,y,z in m/s^2; by default as in training,
+    and up for a controller."""
+    axis: str | None = None
+    """Hand axis that rotation is counted about: x, y, z or a vector as x,y,z; by default as in
+    training, and z for a controller."""
     hand: str | None = None
     """Name of the hand; by default the policy's own, and dex5 for a controller."""
+    parts: tuple[str, ...] = ()
+    """Observation parts that there are sensors for; a policy trained with others is refused."""
+    latency: float = 0.0
+    """How old what is sensed is, rounded to control steps [s]."""
+    object_size: float | None = None
+    """Width of the object [m]; by default as in training, and what suits the hand."""
+    object_mass: float | None = None
+    """Of the object [kg]; by default as in training, and 0.1."""
     episodes: int = 100
     """How many, for each object."""
     seconds: float = 60.0
     """Simulated time of each [s]."""
     seed: int = 0
     """Seed of the first episode; episode i has seed + i."""
-    robustness: bool = False
-    """Once more for each kind and level of sensor noise, and of push on the object (20 of them)."""
     out: Path | None = None
-    """Folder for evaluate.json and episodes.csv."""
+    """Folder for evaluate.json, CSV files and figures."""
     json: bool = False
     """Print one JSON object instead of the table."""
 
     def run(self) -> int:
+        from learning.contenders import aimed
+
         check_count("--episodes", self.episodes)
-        controller = self._controller()
-        check_seconds(self.seconds, controller.control_period)
+        trained = self._trained()
+        for one in trained:
+            check_seconds(self.seconds, one.controller.control_period)
+        protocol = self._protocol(trained)
+        trained = aimed(trained, protocol.axis)
+        objects = self._objects(trained)
         folder = None if self.out is None else make_folder(self.out)
-        from dexctl.sim import object_names
-        from learning.evaluate import Protocol, write_csv
+        from learning.cli_evaluate_out import described, write
 
-        for name in self.object:
-            if name not in object_names():
-                raise UnknownName("object", name, object_names())
-        if not self.object:
-            raise InvalidInput("--object is empty; expected a name, or several")
-        gravity = parse_gravity(self.gravity)
-        protocol = Protocol(
-            episodes=self.episodes, seconds=self.seconds, seed=self.seed, gravity=gravity
-        )
-        found = self._evaluate(controller, protocol)
-        result = self._as_dict(controller, found)
+        found, matrix = self._evaluate(trained, objects, protocol, folder)
+        result = {"command": "evaluate"} | described(trained, protocol, found, matrix)
         if folder is not None:
-            from learning.files import write_text
-
-            write_text(folder / "evaluate.json", to_json(result) + "\n")
-            write_csv(folder / "episodes.csv", found)
-            notes().print(f"written: {folder / 'evaluate.json'} and {folder / 'episodes.csv'}")
+            write(folder, result, found, matrix)
         if self.json:
             print_json(result)
         else:
-            self._print(found)
+            from learning.cli_evaluate_tables import print_evaluations, print_transfer
+
+            if matrix is not None:
+                print_transfer(matrix, protocol)
+            else:
+                print_evaluations(self.policy or "", protocol, found)
         return 0
 
-    def _controller(self) -> Controller:
-        if self.policy.endswith(".npz"):
-            from learning.policy import load_policy
+    def _trained(self) -> list[Trained]:
+        """What is evaluated: several with --transfer, else one, whose object does not matter."""
+        from learning.contenders import load_contender, load_trained
+        from learning.transfer import Trained
 
-            return load_policy(self.policy, hand=self.hand)
-        if self.policy not in controllers.names():
-            raise UnknownName("policy", self.policy, ["a policy file (.npz)", *controllers.names()])
-        return controllers.make(self.policy, hands.load(self.hand or "dex5"))
+        if bool(self.transfer) == (self.policy is not None):
+            got = "both" if self.transfer else "neither"
+            raise InvalidInput(f"got {got} of a policy and --transfer; expected one of them")
+        if self.transfer and self.robustness:
+            raise InvalidInput("got --transfer and --robustness; expected one of them")
+        parts = self.parts or None
+        if self.policy is None:
+            return load_trained(self.transfer, hand=self.hand, parts=parts)
+        return [Trained(self.policy, "", load_contender(self.policy, hand=self.hand, parts=parts))]
 
-    def _evaluate(self, controller: Controller, protocol: Protocol) -> list[Evaluation]:
-        from learning.evaluate import LEVELS, evaluate, robustness
+    def _protocol(self, trained: Sequence[Trained]) -> Protocol:
+        """What is not said is as in training."""
+        from learning.contenders import as_trained
+        from learning.evaluate import Protocol
 
-        runs = 1 + sum(map(len, LEVELS.values())) if self.robustness else 1
-        found: list[Evaluation] = []
-        with progress(notes()) as bar:
-            for name in self.object:
-                task = bar.add_task(f"{name}, {self.episodes} episodes", total=runs * self.seconds)
-                if self.robustness:
-                    found += robustness(
-                        controller,
-                        name,
-                        protocol,
-                        progress=lambda done, _, task=task: bar.update(
-                            task, completed=done * self.seconds
-                        ),
-                    )
-                else:
-                    found.append(
-                        evaluate(
-                            controller,
-                            name,
-                            protocol,
-                            progress=lambda now, task=task: bar.update(task, completed=now),
-                        )
-                    )
-        return found
-
-    def _as_dict(self, controller: Controller, found: list[Evaluation]) -> dict[str, Any]:
-        from dataclasses import asdict
-
-        from dexctl.report.machine import machine
-
-        return {
-            "command": "evaluate",
-            "policy": self.policy,
-            "card": getattr(controller, "card", None),
-            "hand": controller.hand.path.stem,
-            "gravity": self.gravity,
-            "episodes": self.episodes,
-            "seconds": self.seconds,
-            "control_period_s": controller.control_period,
-            "seeds": [self.seed, self.seed + self.episodes - 1],
-            "results": [
-                {
-                    "object": one.object,
-                    "noise": asdict(one.protocol.noise),
-                    "push_N": one.protocol.push.force,
-                    **one.to_dict(),
-                }
-                for one in found
-            ],
-            "machine": machine(),
+        given = {
+            "gravity": None if self.gravity is None else parse_gravity(self.gravity),
+            "axis": None if self.axis is None else parse_vector("--axis", self.axis),
+            "object_size": self.object_size,
+            "object_mass": self.object_mass,
         }
-
-    def _print(self, found: list[Evaluation]) -> None:
-        from rich.table import Table
-
-        console = results()
-        console.print(
-            f"[bold]{self.policy}, palm or gravity {self.gravity}[/bold]\n"
-            f"{self.episodes} episodes of {self.seconds:g} s for each row, seeds {self.seed} to "
-            f"{self.seed + self.episodes - 1}; (95 % interval)\n",
-            soft_wrap=True,
+        return Protocol(
+            episodes=self.episodes,
+            seconds=self.seconds,
+            seed=self.seed,
+            latency=self.latency,
+            **as_trained(trained, given),
         )
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        for heading in ("object", "disturbed", "rotation, rad", "revolutions", "speed, rad/s",
-                        "dropped", "return"):  # fmt: skip
-            table.add_column(heading)
-        for one in found:
-            figures = one.figures()
-            table.add_row(
-                one.object,
-                _noise(one),
-                _interval(figures["rotation_median_rad"]),
-                f"{figures['revolutions_median'].value:.2f}",
-                _interval(figures["speed_mean_rad_s"]),
-                _interval(figures["share_dropped"], 100.0, 0, " %"),
-                _interval(figures["return_mean"], digits=0),
-            )
-        console.print(table)
-        broken = sum(int(one.diverged.sum()) for one in found)
-        if broken:
-            console.print(f"{broken} simulations broke down; they count as dropped.")
 
+    def _objects(self, trained: Sequence[Trained]) -> tuple[str, ...]:
+        """Those asked for, or those that one policy was trained on."""
+        from dexctl.sim import object_names
+        from learning.contenders import trained_env
 
-def _interval(one: Estimate, factor: float = 1.0, digits: int = 2, unit: str = "") -> str:
-    value, low, high = (f"{factor * x:.{digits}f}" for x in (one.value, one.low, one.high))
-    return f"{value}{unit} ({low} to {high})"
+        objects = tuple(dict.fromkeys(self.object))
+        if not objects and not self.transfer:
+            env = trained_env(trained[0].name, trained[0].controller)
+            objects = ("cube",) if env is None else env.objects
+        for name in (*(one.object for one in trained if self.transfer), *objects):
+            if name not in object_names():
+                raise UnknownName("object", name, object_names())
+        return objects
 
+    def _evaluate(
+        self,
+        trained: Sequence[Trained],
+        objects: tuple[str, ...],
+        protocol: Protocol,
+        folder: Path | None,
+    ) -> tuple[list[Evaluation], Transfer | None]:
+        from learning.evaluate import evaluate
+        from learning.evaluation_store import EvaluationStore
+        from learning.robustness import protocols
+        from learning.transfer import transfer
 
-def _noise(one: Evaluation) -> str:
-    noise = one.protocol.noise
-    named = {kind: getattr(noise, kind) for kind in noise.__dataclass_fields__}
-    named["push"] = one.protocol.push.force
-    return ", ".join(f"{kind} {value:g}" for kind, value in named.items() if value) or "none"
+        store = None if folder is None else EvaluationStore(folder / "points")
+        run = evaluate if store is None else store
+        matrix, found = None, []
+        with progress(notes()) as bar:
+            tasks: dict[str, TaskID] = {}
+
+            def show(title: str, done: float, total: float) -> None:
+                if title not in tasks:
+                    tasks[title] = bar.add_task(title, total=total)
+                bar.update(tasks[title], completed=done)
+
+            if self.transfer:
+                matrix = transfer(
+                    trained,
+                    protocol,
+                    objects,
+                    run=run,
+                    progress=lambda policy, name, now: show(
+                        f"policy of {policy.object} with {name}", now, self.seconds
+                    ),
+                )
+                found = [one for row in matrix.evaluations for one in row]
+            else:
+                every = protocols(protocol) if self.robustness else [protocol]
+                for name in objects:
+                    for i, one in enumerate(every):
+                        before = i * self.seconds
+                        found.append(
+                            run(
+                                trained[0].controller,
+                                name,
+                                one,
+                                progress=lambda now, name=name, before=before: show(
+                                    f"{name}, {self.episodes} episodes",
+                                    before + now,
+                                    len(every) * self.seconds,
+                                ),
+                            )
+                        )
+        if store is not None and store.found:
+            notes().print(f"{store.found} of {len(found)} were there already, in {folder}/points")
+        return found, matrix

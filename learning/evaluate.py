@@ -8,41 +8,34 @@ method need several seeds of training (`learning.statistics`).
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+from typing import Protocol as Interface
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.rotations import inverse, multiply, rotation_vector
-from dexctl.state import Bools, Floats, GraspState
+from dexctl.state import Bools, Floats
 from dexctl.streams import Streams
+from dexctl.validation import check_numbers
 from learning.envs import reward as rewards
-from learning.envs.noise import SensorNoise, observed
+from learning.envs.config import unit_axis
+from learning.envs.noise import SensorNoise
 from learning.envs.pushes import Push, Pusher
-from learning.files import aside
+from learning.senses import Senses
 from learning.statistics import Estimate, bootstrap, wilson
 
 if TYPE_CHECKING:
     from dexctl.sim import Scene, Trace
 
 FULL_TURN = 2.0 * np.pi
-# streams of their own, beside the simulator's and the controller's
-_NOISE_SEED, _PUSH_SEED = 1 << 42, 1 << 43
-
-# The levels of `robustness`: what the thesis's figure goes up to, in four steps.
-LEVELS: Mapping[str, tuple[float, ...]] = {
-    "joint": (0.025, 0.05, 0.075, 0.1),  # [rad]
-    "position": (0.0025, 0.005, 0.0075, 0.01),  # [m]
-    "normal": (0.125, 0.25, 0.375, 0.5),
-    "force": (0.125, 0.25, 0.375, 0.5),
-    "push": (0.5, 1.0, 1.5, 2.0),  # [N], on the object
-}
+# a stream of its own, beside the simulator's, the sensors' and the controller's
+_PUSH_SEED = 1 << 43
+# rotation over time is kept at no more moments than this, so that many evaluations stay small
+_MOMENTS = 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +47,11 @@ class Protocol:
         seconds: of each [s].
         seed: of the first.
         gravity: "up" (the palm looks up), "down", or a vector [m/s^2].
+        axis: that rotation is counted about, hand frame: "x", "y", "z" or a vector.
+        object_size: width of the object [m]; None is what suits the hand.
+        object_mass: [kg].
         noise: of the sensors; what the policy sees, while the figures are of what is.
+        latency: of the sensors, rounded to control steps [s].
         push: forces on the object.
         substeps: physics steps in a control period.
         threads: of the physics; None is every core.
@@ -67,7 +64,11 @@ class Protocol:
     seconds: float = 60.0
     seed: int = 0
     gravity: str | tuple[float, ...] = "up"
+    axis: str | tuple[float, ...] = "z"
+    object_size: float | None = None
+    object_mass: float = 0.1
     noise: SensorNoise = SensorNoise()  # noqa: RUF009 (frozen)
+    latency: float = 0.0
     push: Push = Push()  # noqa: RUF009 (frozen)
     substeps: int = 10
     threads: int | None = None
@@ -77,6 +78,13 @@ class Protocol:
             raise InvalidInput(f"episodes is {self.episodes!r}; expected a whole number above 0")
         if not (np.isfinite(self.seconds) and self.seconds > 0):
             raise InvalidInput(f"seconds is {self.seconds}; expected a finite number above 0")
+        check_numbers(self, positive=("object_mass",), not_negative=("latency",))
+        self.direction  # noqa: B018 (raises where the axis is wrong)
+
+    @property
+    def direction(self) -> tuple[float, float, float]:
+        """``axis`` as a unit vector."""
+        return unit_axis(self.axis)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +94,13 @@ class Evaluation:
     Attributes:
         object: its name.
         protocol: as evaluated.
-        rotation: about the hand's z, up to the drop or the end [rad].
+        rotation: about the protocol's axis, up to the drop or the end [rad].
         time_held: until then [s].
         dropped: whether it was dropped; a simulation that broke down counts as dropped.
         diverged: whether the simulation broke down.
         returns: sum of the environments' reward up to the drop or the end [rad/s].
+        moments: times ``(K,)`` [s], from 0 to the end.
+        rotations: at these moments, standing still from the drop on, ``(K, N)`` [rad].
     """
 
     object: str
@@ -100,12 +110,19 @@ class Evaluation:
     dropped: Bools
     diverged: Bools
     returns: Floats
+    moments: Floats = field(default_factory=lambda: np.zeros(0))
+    rotations: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def speed(self) -> Floats:
         """Mean angular velocity while held, ``(N,)`` [rad/s]; 0 where it was not held at all."""
         held = self.time_held > 0
         return np.where(held, self.rotation / np.where(held, self.time_held, 1.0), 0.0)
+
+    def held(self, moments: Floats) -> Floats:
+        """How many episodes still hold the object, ``(K,)``, at times ``(K,)`` [s]."""
+        gone = np.where(self.dropped, self.time_held, np.inf)
+        return (gone >= moments[:, None]).sum(axis=1)
 
     def figures(self) -> dict[str, Estimate]:
         """Medians and means with 95 % bootstrap intervals, shares with Wilson's."""
@@ -126,31 +143,19 @@ class Evaluation:
         return found | {"diverged": int(self.diverged.sum())}
 
 
-@final
-class NoisySenses(Controller):
-    """A controller that sees a batch of hands through noisy sensors.
+class Run(Interface):
+    """`evaluate`, or what does the same and remembers."""
 
-    Args:
-        controller: who sees.
-        noise: how badly.
-        count: N.
-    """
-
-    def __init__(self, controller: Controller, noise: SensorNoise, count: int) -> None:
-        super().__init__(controller.hand, control_period=controller.control_period)
-        self._controller, self._noise, self._count = controller, noise, count
-        self._streams = Streams(_NOISE_SEED, (count,))
-
-    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
-        self._controller.reset(seed, mask)
-        if seed is not None:
-            chosen = None if mask is None else np.asarray(mask, bool)
-            self._streams.reseed(np.asarray(seed, object) + _NOISE_SEED, chosen)
-
-    def act(self, state: GraspState) -> Floats:
-        action = self._controller.act(observed(state, self._noise, self._streams))
-        self._diagnostics = dict(self._controller.diagnostics)
-        return action
+    def __call__(
+        self,
+        controller: Controller,
+        object: str,  # noqa: A002
+        protocol: Protocol | None = None,
+        *,
+        progress: Callable[[float], None] | None = None,
+    ) -> Evaluation:
+        """See `evaluate`."""
+        ...
 
 
 def evaluate(
@@ -163,7 +168,8 @@ def evaluate(
     """Evaluate a policy or a controller with one object.
 
     Args:
-        controller: what is evaluated; it is reset first.
+        controller: what is evaluated; it is reset first. It must turn the object about the
+            protocol's axis of its own accord (`controllers.make` has an ``axis``).
         object: name of the object.
         protocol: how; None is the standard one.
         progress: called after each control step with the simulated time so far [s].
@@ -173,13 +179,21 @@ def evaluate(
         SimulationError: the hand does not hold it.
     """
     from dexctl.sim import BatchSimulator, Scene, object_names, run
+    from dexctl.sim.trial import rotation_about
 
     protocol = protocol if protocol is not None else Protocol()
     if object not in object_names():
         raise UnknownName("object", object, object_names())
-    scene = Scene.build(controller.hand, object, protocol.gravity)
-    if protocol.noise:
-        controller = NoisySenses(controller, protocol.noise, protocol.episodes)
+    scene = Scene.build(
+        controller.hand,
+        object,
+        protocol.gravity,
+        object_size=protocol.object_size,
+        object_mass=protocol.object_mass,
+    )
+    late = round(protocol.latency / controller.control_period)
+    if protocol.noise or late:
+        controller = Senses(controller, protocol.episodes, protocol.noise, late)
     with BatchSimulator(
         scene,
         protocol.episodes,
@@ -205,20 +219,25 @@ def evaluate(
             record=push if protocol.push else None,
             progress=progress,
         )
+    axis = np.array(protocol.direction)
+    rotation = rotation_about(trace.object_quaternion, axis, trace.held)
+    steps = len(trace.time) - 1
+    moments = np.unique(np.linspace(0, steps, min(_MOMENTS, steps) + 1).round().astype(int))
     return Evaluation(
         object=object,
         protocol=protocol,
-        rotation=trace.final_rotation,
+        rotation=rotation[-1],
         time_held=trace.time_held,
         dropped=trace.dropped,
         diverged=trace.diverged[-1],
-        returns=returns_of(trace, scene, controller.control_period),
+        returns=returns_of(trace, scene, controller.control_period, axis),
+        moments=trace.time[moments],
+        rotations=rotation[moments],
     )
 
 
-def returns_of(trace: Trace, scene: Scene, control_period: float) -> Floats:
+def returns_of(trace: Trace, scene: Scene, control_period: float, axis: Floats) -> Floats:
     """The environments' return ``(N,)`` [rad/s] of the episodes in ``trace``, up to the drop."""
-    axis = np.array([0.0, 0.0, 1.0])
     quaternion = trace.object_quaternion
     turn = rotation_vector(multiply(quaternion[1:], inverse(quaternion[:-1])))
     upright = np.asarray(scene.settled.qpos[scene.object_qpos][3:])
@@ -231,55 +250,3 @@ def returns_of(trace: Trace, scene: Scene, control_period: float) -> Floats:
     earned = rewards.reward(turning, 0.5, 0.5, 3)
     # the step that drops the object counts still; one that breaks down does not
     return np.where(trace.held[:-1] & ~trace.diverged[1:], earned, 0.0).sum(axis=0)
-
-
-def robustness(
-    controller: Controller,
-    object: str,  # noqa: A002
-    protocol: Protocol | None = None,
-    levels: Mapping[str, tuple[float, ...]] = LEVELS,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[Evaluation]:
-    """Evaluations undisturbed, then with each kind of disturbance at each level.
-
-    Args:
-        controller, object, protocol: as `evaluate`'s; the protocol's own noise and push are
-            replaced.
-        levels: by field of `SensorNoise`, and "push" for the force on the object.
-        progress: called after each evaluation with how many are done, and of how many.
-
-    Raises:
-        UnknownName: no such kind of disturbance.
-    """
-    kinds = [*SensorNoise.__dataclass_fields__, "push"]
-    base = replace(protocol or Protocol(), noise=SensorNoise(), push=Push())
-    protocols = [base]
-    for kind, row in levels.items():
-        if kind not in kinds:
-            raise UnknownName("disturbance", kind, kinds)
-        for level in row:
-            changed = Push(force=level) if kind == "push" else SensorNoise(**{kind: level})
-            protocols.append(replace(base, **{"push" if kind == "push" else "noise": changed}))
-    found = []
-    for one in protocols:
-        found.append(evaluate(controller, object, one))
-        if progress is not None:
-            progress(len(found), len(protocols))
-    return found
-
-
-def write_csv(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
-    """One row for each episode, whole or not at all."""
-    with aside(Path(path)) as part, part.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        noise = list(SensorNoise.__dataclass_fields__)
-        outcome = ["rotation_rad", "time_held_s", "dropped", "diverged", "return"]
-        names = [*(f"{kind}_noise" for kind in noise), "push_force_N", "seed", *outcome]
-        writer.writerow(["object", *names])
-        for one in evaluations:
-            sigma = [getattr(one.protocol.noise, kind) for kind in noise]
-            sigma.append(one.protocol.push.force)
-            columns = (one.rotation, one.time_held, one.dropped, one.diverged, one.returns)
-            for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
-                writer.writerow([one.object, *sigma, one.protocol.seed + i, *row])

@@ -245,6 +245,8 @@ def load_policy(
 def _read(path: Path) -> tuple[dict[str, Any], list[Layer]]:
     try:
         with np.load(path, allow_pickle=False) as stored:
+            if "card" not in stored:
+                raise ValueError("it holds no card")
             card = json.loads(str(stored["card"]))
             count = sum(name.startswith("weight_") for name in stored.files)
             layers = [Layer(stored[f"weight_{i}"], stored[f"bias_{i}"]) for i in range(count)]

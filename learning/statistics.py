@@ -88,6 +88,47 @@ def bootstrap(
     return Estimate(float(compute(numbers)), float(low), float(high), count)
 
 
+def bootstrap_ratio(
+    values: ArrayLike,
+    base: ArrayLike,
+    statistic: str = "median",
+    *,
+    confidence: float = 0.95,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> Estimate | None:
+    """A statistic of ``values`` over that of ``base``, with its percentile bootstrap interval.
+
+    Both are resampled, independently of each other.
+
+    Args:
+        values: ``(n,)``.
+        base: ``(k,)``.
+        statistic, confidence, resamples, seed: see `bootstrap`.
+
+    Returns:
+        None where the base's statistic is not above zero, since the ratio then says nothing. Where
+        it is so in one of the resamples, the ends of the interval are nan.
+
+    Raises:
+        UnknownName, InvalidInput: see `bootstrap`.
+    """
+    whole = bootstrap(values, statistic, confidence=confidence, resamples=resamples, seed=seed)
+    below = bootstrap(base, statistic, confidence=confidence, resamples=resamples, seed=seed)
+    if below.value <= 0:
+        return None
+    compute, rng = STATISTICS[statistic], np.random.default_rng(seed)
+    drawn = []
+    for numbers in (_numbers(values), _numbers(base)):
+        index = rng.integers(0, len(numbers), (int(resamples), len(numbers)))
+        drawn.append(compute(numbers[index], axis=-1))
+    low = high = np.nan
+    if (drawn[1] > 0).all():
+        tail = 50.0 * (1.0 - confidence)
+        low, high = np.percentile(drawn[0] / drawn[1], [tail, 100.0 - tail])
+    return Estimate(whole.value / below.value, float(low), float(high), whole.count)
+
+
 def wilson(successes: int, trials: int, *, confidence: float = 0.95) -> Estimate:
     """A share with its Wilson score interval.
 

@@ -86,7 +86,7 @@ class GuidedSAC(GuidedExploration, SAC):
                 actor_loss = (entropy_weight * log_prob - least).mean()
                 cloning = torch.zeros((), device=self.device)
                 if beta > 0:
-                    weight, scale = self._cloning_weight(batch, value)
+                    weight, scale = self._cloning_weight(batch, least)
                     actor_loss = actor_loss / scale
                     if squared:
                         cloning = squared_cloning(batch.guide_actions, torch.tanh(mean), weight)

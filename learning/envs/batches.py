@@ -17,6 +17,8 @@ def merged(chosen: Bools, state: GraspState, other: GraspState) -> GraspState:
         return state
     values = {}
     for field in fields(GraspState):
+        if getattr(state, field.name) is None:  # an object that nothing tracks
+            continue
         a, b = np.asarray(getattr(state, field.name)), np.asarray(getattr(other, field.name))
         values[field.name] = np.where(chosen.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
     return replace(state, **values)

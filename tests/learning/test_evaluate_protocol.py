@@ -14,7 +14,10 @@ from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
 from learning.envs import EnvConfig, make_vector
 from learning.envs.noise import SensorNoise
-from learning.evaluate import Evaluation, Protocol, evaluate, robustness, write_csv
+from learning.evaluate import Evaluation, Protocol, evaluate
+from learning.evaluation_files import write_episodes
+from learning.robustness import LEVELS, Disturbance, disturbance, protocols, robustness
+from learning.senses import Senses
 
 SHORT = Protocol(episodes=4, seconds=1.0, threads=1)
 
@@ -87,12 +90,82 @@ def test_robustness_goes_through_every_level(dex5: dexctl.HandModel, tmp_path: P
     assert [one.protocol.push.force for one in found] == [0.0, 0.0, 0.0, 0.5]
     assert not np.array_equal(found[3].rotation, found[0].rotation)
     assert done == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    write_csv(tmp_path / "episodes.csv", found)
+    write_episodes(tmp_path / "episodes.csv", found)
     rows = list(csv.DictReader((tmp_path / "episodes.csv").open()))
     assert len(rows) == 8
     assert rows[3]["seed"] == "1"
     assert float(rows[3]["joint_noise"]) == 0.1
     assert float(rows[3]["time_held_s"]) == pytest.approx(0.1)
+
+
+def test_the_sweeps_go_as_far_as_the_thesis_does() -> None:
+    assert {kind: row[-1] for kind, row in LEVELS.items()} == {
+        "joint": 0.1, "position": 0.01, "normal": 0.5, "force": 0.5, "push": 2.0,
+    }  # fmt: skip
+    every = protocols(Protocol(noise=SensorNoise(joint=0.3), gravity="down"))
+    assert len(every) == 21 and not every[0].noise and not every[0].push
+    assert {one.gravity for one in every} == {"down"}
+    found = [disturbance(one) for one in every]
+    assert found[0] == Disturbance("", 0.0)
+    assert found[4] == Disturbance("joint", 0.1)
+    assert found[-1] == Disturbance("push", 2.0)
+    assert len(set(found)) == 21
+
+
+def test_another_axis_palm_and_late_sensors(dex5: dexctl.HandModel) -> None:
+    short = Protocol(
+        episodes=2, seconds=0.5, threads=1, axis="x", gravity="down", latency=0.1,
+        noise=SensorNoise(joint=0.01),
+    )  # fmt: skip
+    igm = controllers.make("igm", dex5, axis=(1.0, 0.0, 0.0))
+    found = evaluate(igm, "sphere", short)
+    envs = make_vector(
+        EnvConfig(object="sphere", axis="x", gravity="down", max_speed=20.0, max_lead=1.0,
+                  threads=1), 2,
+    )  # fmt: skip
+    envs.reset(seed=0)
+    senses = Senses(igm, 2, short.noise, 2)
+    senses.reset(0)
+    for _ in range(10):
+        _, _, _, _, info = envs.step(envs.change_to_action(senses.act(envs.state)))
+    np.testing.assert_allclose(found.rotation, info["rotation"], atol=1e-9)
+    np.testing.assert_allclose(found.returns, info["episode_return"], atol=1e-9)
+    assert (found.rotation > 0.05).all()
+    np.testing.assert_allclose(found.moments, 0.05 * np.arange(11))
+    np.testing.assert_array_equal(found.rotations[-1], found.rotation)
+    np.testing.assert_array_equal(found.rotations[0], 0.0)
+
+
+def test_senses_are_late_and_begin_anew(dex5: dexctl.HandModel) -> None:
+    class Seen(dexctl.Controller):
+        def reset(self, seed=None, mask=None) -> None: ...
+
+        def act(self, state: dexctl.GraspState) -> np.ndarray:
+            self.q = state.q[:, 0]
+            return np.zeros_like(state.q_target)
+
+    seen = Seen(dex5, control_period=0.05)
+    senses = Senses(seen, 2, latency=2)
+    senses.reset(0)
+    touch = np.zeros((2, 5), bool)
+    found = []
+    for i in range(6):
+        if i == 4:
+            senses.reset(mask=np.array([True, False]))
+        state = dexctl.GraspState(
+            q=np.full((2, 15), 0.1 * i), q_target=np.zeros((2, 15)), in_contact=touch,
+            contact_position=np.zeros((2, 5, 3)), contact_normal=np.zeros((2, 5, 3)),
+            contact_force=np.zeros((2, 5)), time=np.full(2, 0.05 * i),
+        )  # fmt: skip
+        senses.act(state)
+        found.append(seen.q)
+    expected = [[0, 0], [0, 0], [0, 0], [0.1, 0.1], [0.4, 0.2], [0.4, 0.3]]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_how_many_hold_it() -> None:
+    found = made([1.0, 7.0, 3.0], [0.5, 1.0, 1.0], [True, False, True])
+    np.testing.assert_array_equal(found.held(np.array([0.0, 0.5, 0.75, 1.0, 1.5])), [3, 3, 2, 2, 1])
 
 
 def test_bad_input(dex5: dexctl.HandModel) -> None:
@@ -103,6 +176,10 @@ def test_bad_input(dex5: dexctl.HandModel) -> None:
         Protocol(episodes=0)
     with pytest.raises(InvalidInput, match="seconds is nan"):
         Protocol(seconds=np.nan)
+    with pytest.raises(UnknownName, match="unknown axis 'w'"):
+        Protocol(axis="w")
+    with pytest.raises(InvalidInput, match="latency is nan"):
+        Protocol(latency=np.nan)
     with pytest.raises(InvalidInput, match=r"joint is -1\.0"):
         SensorNoise(joint=-1.0)
     with pytest.raises(UnknownName, match="unknown disturbance 'smell'; known: joint, position"):

@@ -1,0 +1,115 @@
+"""A series of evaluations that is killed goes on where it stopped, and mixes nothing up."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl import controllers
+from learning import evaluation_store
+from learning.evaluate import Protocol
+from learning.evaluation_store import EvaluationStore, fingerprint
+from learning.robustness import robustness
+
+SHORT = Protocol(episodes=2, seconds=0.1, threads=1)
+LEVELS = {"joint": (0.1,), "push": (0.5, 1.0)}
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What was really evaluated."""
+    made: list[str] = []
+    real = evaluation_store.evaluate
+
+    def counted(controller, object, protocol=None, *, progress=None):  # noqa: A002
+        made.append(object)
+        return real(controller, object, protocol, progress=progress)
+
+    monkeypatch.setattr(evaluation_store, "evaluate", counted)
+    return made
+
+
+def test_what_is_finished_is_not_done_again(
+    dex5: dexctl.HandModel, tmp_path: Path, calls: list[str]
+) -> None:
+    hold = controllers.make("hold", dex5)
+    first = robustness(hold, "cube", SHORT, LEVELS, run=EvaluationStore(tmp_path / "points"))
+    assert len(calls) == 4
+    files = sorted((tmp_path / "points").iterdir())
+    assert [path.name.rpartition("-")[0] for path in files] == [
+        "cube", "cube-joint-0.1", "cube-push-0.5", "cube-push-1",
+    ]  # fmt: skip
+    files[2].unlink()
+    files[3].write_bytes(files[3].read_bytes()[:100])  # cut short by who knows what
+    store = EvaluationStore(tmp_path / "points")
+    again = robustness(hold, "cube", replace(SHORT, threads=2), LEVELS, run=store)
+    assert (len(calls), store.found) == (6, 2)
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.rotation, other.rotation)
+        np.testing.assert_array_equal(one.rotations, other.rotations)
+        assert other.protocol == replace(one.protocol, threads=2)
+        assert one.to_dict() == other.to_dict()
+
+
+def test_nothing_is_taken_for_something_else(
+    dex5: dexctl.HandModel, tmp_path: Path, calls: list[str]
+) -> None:
+    hold = controllers.make("hold", dex5)
+    store = EvaluationStore(tmp_path)
+    store(hold, "cube", SHORT)
+    store(hold, "cylinder", SHORT)
+    store(hold, "cube", replace(SHORT, seed=1))
+    store(controllers.make("igm", dex5), "cube", SHORT)
+    store(controllers.make("igm", dex5, grip_force=2.0), "cube", SHORT)
+    assert (len(calls), store.found) == (5, 0)
+    store(controllers.make("igm", dex5), "cube", SHORT)
+    assert (len(calls), store.found) == (5, 1)
+
+
+def test_fingerprints(dex5: dexctl.HandModel) -> None:
+    make = controllers.make
+    assert fingerprint(make("igm", dex5)) == fingerprint(make("igm", dex5))
+    different = [make(name, dex5) for name in controllers.names()]
+    different.append(make("igm", dex5, axis=(1.0, 0.0, 0.0)))
+    assert len({fingerprint(one) for one in different}) == len(different)
+
+
+def test_a_killed_sweep_continues(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code = (
+        "import sys; from dexctl.cli.parsing import parse; "
+        "from learning.cli_evaluate import Evaluate; "
+        f"parse(Evaluate, 'dexctl evaluate', ['hold', '--robustness', '--episodes', '2', "
+        f"'--seconds', '0.3', '--out', {str(out)!r}]).run()"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    killed = subprocess.Popen(
+        [sys.executable, "-c", code], env=environment,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120.0
+    while len(list(out.glob("points/cube*.npz"))) < 3 and time.monotonic() < deadline:
+        assert killed.poll() is None
+        time.sleep(0.002)
+    killed.send_signal(signal.SIGKILL)
+    killed.wait()
+    kept = {path: path.stat().st_mtime_ns for path in out.glob("points/cube*.npz")}
+    assert 3 <= len(kept) <= 21
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"{len(kept)} of 21 were there already" in done.stderr
+    assert all(path.stat().st_mtime_ns == when for path, when in kept.items())
+    assert len(list(out.glob("points/cube*.npz"))) == 21
+    for name in ("evaluate.json", "figures.csv", "curves.csv", "episodes.csv"):
+        assert (out / name).stat().st_size > 0
