@@ -40,7 +40,14 @@ ALLOWED = {
     "application": {*INSIDE, "application", "dexctl", "controllers"},
     "learning": {*INSIDE, "dexctl", "controllers", "learning"},
     # its commands: the modules learning/cli_*.py, which nothing else of it imports
-    "learning commands": {*INSIDE, "application", "dexctl", "controllers", "learning"},
+    "learning commands": {
+        *INSIDE,
+        "application",
+        "dexctl",
+        "controllers",
+        "learning",
+        "learning commands",
+    },
     # its commands print and report
     "hardware": {*INSIDE, "application", "dexctl", "controllers", "hardware"},
 }
@@ -62,6 +69,7 @@ DOORS = {
     ],
     "gymnasium": ["learning/__init__.py", "learning/envs/", "learning/agents/"],
     "stable_baselines3": ["learning/agents/", "learning/checkpoint.py", "learning/train.py"],
+    "ray": ["learning/sweep/cluster.py"],
     "dynamixel_sdk": ["hardware/"],
     "serial": ["hardware/"],
 }
