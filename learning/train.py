@@ -195,6 +195,8 @@ def _run(
             with _interruptible(keeper):
                 agent.learn(left, callback=keeper, reset_num_timesteps=False)
             keeper.finish()
+        else:  # a kill may have come between the last checkpoint and its policy
+            export_policy(agent, config, folder / POLICY_NAME, keeper.row)
     finally:
         log.close()
         assert agent.env is not None

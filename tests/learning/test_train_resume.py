@@ -142,3 +142,17 @@ def test_stopped_half_way_equals_uninterrupted(
     run(*options, "--out", str(halved), "--steps", "300")
     run("--resume", str(halved), "--steps", "600")
     equal_runs(whole, halved)
+
+
+def test_a_policy_that_the_last_checkpoint_had_no_time_for(tmp_path: Path) -> None:
+    """Killed between the two files of the end: the run is done, its policy is not there."""
+    folder = tmp_path / "run"
+    run(*OPTIONS, "--method", "rl", "--steps", "120", "--out", str(folder))
+    with np.load(folder / "policy.npz") as file:
+        weights = file["weight_0"]
+    card = json.loads((folder / "policy.json").read_text())
+    (folder / "policy.npz").unlink()
+    run("--resume", str(folder))
+    with np.load(folder / "policy.npz") as file:
+        assert np.array_equal(file["weight_0"], weights)
+    assert json.loads((folder / "policy.json").read_text()) == card

@@ -69,6 +69,7 @@ DOORS = {
     ],
     "gymnasium": ["learning/__init__.py", "learning/envs/", "learning/agents/"],
     "stable_baselines3": ["learning/agents/", "learning/checkpoint.py", "learning/train.py"],
+    "ray": ["learning/sweep/cluster.py"],
     "dynamixel_sdk": ["hardware/"],
     "serial": ["hardware/"],
 }

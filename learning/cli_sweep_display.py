@@ -1,0 +1,99 @@
+"""What `dexctl sweep` shows while it runs: one line for each run at work, and counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Self
+
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from dexctl.cli.output import notes
+from learning.sweep.jobs import Job, Outcome
+from learning.sweep.watch import Progress, progress
+
+_COLUMNS = ("run", "", "steps", "return", "turned, rad", "dropped", "left")
+
+
+class Display:
+    """The lines, on stderr; where that is no terminal, a remark for each job that ends.
+
+    Args:
+        total: how many jobs there are.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._console = notes()
+        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self._known: dict[str, Outcome] | None = None
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        where: TracebackType | None,
+    ) -> None:
+        self._live.stop()
+
+    def show(self, running: list[Job], ended: Mapping[str, Outcome]) -> None:
+        """Called whenever something may have changed."""
+        before = self._known
+        self._known = dict(ended)
+        if before is None:
+            done = sum(found.state == "finished" for found in ended.values())
+            self._say(f"{done} of {self._total} done before") if done else None
+            before = {name: one for name, one in ended.items() if one.state == "finished"}
+        for name, found in ended.items():
+            if name not in before:
+                what = f"failed: {found.error}" if found.state == "failed" else found.state
+                self._say(f"{name} {what}")
+        if self._console.is_terminal:
+            self._live.update(self._lines(running, ended), refresh=True)
+
+    def _say(self, text: str) -> None:
+        self._console.print(f"dexctl: {text}", markup=False)
+
+    def _lines(self, running: list[Job], ended: Mapping[str, Outcome]) -> Group:
+        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        for name in _COLUMNS:
+            table.add_column(name, justify="left" if name in _COLUMNS[:2] else "right")
+        for job in running:
+            table.add_row(*line(job.name, progress(job)))
+        finished = sum(found.state == "finished" for found in ended.values())
+        counts = f"{finished} of {self._total} finished, {len(running)} at work"
+        failed = len(ended) - finished
+        return Group(table, Text(counts + (f", {failed} failed" if failed else "")))
+
+
+def line(name: str, now: Progress) -> tuple[str, ...]:
+    """A job as a row under the headings; what is not known is a dash."""
+
+    def known(key: str, form: str, factor: float = 1.0, unit: str = "") -> str:
+        return f"{factor * now.figures[key]:{form}}{unit}" if key in now.figures else "-"
+
+    return (
+        name,
+        now.doing,
+        f"{now.step:,} / {now.total:,}" if now.total else "-",
+        known("return", ".1f"),
+        known("rotation", ".2f"),
+        known("dropped", ".0f", 100.0, " %"),
+        _clock(now.seconds_left) if now.doing == "training" else "-",
+    )
+
+
+def _clock(seconds: float | None) -> str:
+    if seconds is None:
+        return "-"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}"

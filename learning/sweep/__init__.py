@@ -1,0 +1,6 @@
+"""Sweeps: methods x controllers x seeds from one file, run side by side, and their table.
+
+`SweepConfig` says which runs there are; `run_all` gives them to processes (`LocalPool`) or to a Ray
+cluster (`RayPool`); each leaves its folder; `collect` makes one JSON of what is there, and
+`learning.sweep.table.markdown_table` a table of that, without the extra "learning".
+"""

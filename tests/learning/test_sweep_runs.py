@@ -1,0 +1,235 @@
+"""Sweeps that really train: killed and continued, with a failing run among others, and on Ray."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+
+from dexctl.cli.parsing import parse
+from dexctl.exceptions import InvalidInput
+from learning import checkpoint, load_policy
+from learning.cli_sweep import Sweep
+from learning.sweep.cluster import ClusterError, RayPool, run_here
+from learning.sweep.config import SweepConfig
+from learning.sweep.jobs import Job, jobs, outcome
+from learning.sweep.lock import locked
+from learning.sweep.process import LocalPool
+from learning.train import read_config
+
+ROOT = Path(__file__).parents[2]
+TEXT = """
+methods = ["rl", "vge"]
+controllers = ["hold"]
+[train]
+steps = 800
+num_envs = 4
+network = [16]
+batch_size = 16
+gradient_steps = 1
+learning_starts = 40
+buffer_size = 200
+log_every = 100
+checkpoint_every = 100
+device = "cpu"
+[train.env]
+object = "cylinder"
+episode_steps = 50
+[method.vge]
+steps = 100
+[evaluation]
+episodes = 2
+seconds = 0.5
+"""
+RUN = (
+    "import sys; from dexctl.cli.parsing import parse; from learning.cli_sweep import Sweep; "
+    "parse(Sweep, 'dexctl sweep', sys.argv[1:]).run()"
+)
+
+
+def run(*arguments: str) -> int:
+    """`dexctl sweep` in this process."""
+    command = parse(Sweep, "dexctl sweep", arguments)
+    assert command is not None
+    return command.run()
+
+
+def wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
+    """Until a process has made ``path``."""
+    deadline = time.monotonic() + 100
+    while not path.exists():
+        assert process.poll() is None, process.communicate()[1].decode()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "sweep.toml"
+    path.write_text(TEXT)
+    return path
+
+
+def hold(tmp_path: Path, name: str = "hold") -> Job:
+    """The evaluation of a controller: the quickest job that there is."""
+    config = SweepConfig.parse(
+        {
+            "methods": ["rl"],
+            "train": {"env": {"object": "cylinder"}},
+            "evaluation": {"episodes": 1, "seconds": 0.1, "controllers": ["hold"]},
+        }
+    )
+    job = next(jobs(config, tmp_path))
+    return Job(name, job.folder.with_name(name), job.evaluation)
+
+
+def test_killed_and_started_again(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One run is killed half way, another cannot begin; then the third start has all of it."""
+    out = tmp_path / "out"
+    rl, vge = out / "runs" / "rl-0", out / "runs" / "vge-hold-0"
+    vge.mkdir(parents=True)
+    (vge / "config.json").write_text("{")
+    prepared = SweepConfig.load(file)
+    (out / "sweep.json").write_text(json.dumps({"format": 1, **prepared.to_dict()}))
+    sweep = subprocess.Popen(
+        [sys.executable, "-c", RUN, str(file), "--out", str(out), "--jobs", "2"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        wait_for(rl, sweep)
+        with pytest.raises(InvalidInput, match="another process is at work in"):
+            run(str(file), "--out", str(out))
+        wait_for(rl / checkpoint.NAME, sweep)
+    finally:
+        sweep.kill()
+        sweep.communicate()
+    with locked(rl, wait=60):  # its process held the folder, and has gone with the sweep
+        pass
+    assert outcome(rl).state == "unfinished"
+
+    assert run(str(file), "--out", str(out), "--jobs", "2") == 1
+    said = capsys.readouterr()
+    assert "dexctl: runs/vge-hold-0 failed: " in said.err and "config.json is not JSON" in said.err
+    assert "goes on from its checkpoint" in (rl / "worker.log").read_text()
+    found = json.loads((out / "results.json").read_text())
+    assert [run["state"] for run in found["runs"]] == ["finished", "failed"]
+    assert [cell["rotation_iqm_rad"] is None for cell in found["cells"]] == [False, True]
+    assert "0 of 1 (1 failed)" in (out / "table.md").read_text()
+    assert (out / "curves.png").stat().st_size > 10_000
+
+    done = (rl / "result.json").stat().st_mtime_ns
+    (vge / "config.json").unlink()
+    assert run(str(out)) == 0  # the folder knows its sweep
+    assert (rl / "result.json").stat().st_mtime_ns == done  # what is finished stays
+    config = {run.name: run.config for run in prepared.runs}
+    for folder, steps in ((rl, 800), (vge, 100)):
+        assert read_config(folder) == config[folder.name]  # a run as any other
+        assert load_policy(folder / "policy.npz").card["steps"] == steps
+        result = json.loads((folder / "result.json").read_text())
+        assert result["steps"] == steps
+        assert len(result["episodes"]["cylinder"]["rotation_rad"]) == 2
+    file.write_text(TEXT.replace("[train]", "[train]\ngamma = 0.9"))
+    with pytest.raises(InvalidInput, match="other settings: runs.rl-0.gamma was 0.99, is 0.9;"):
+        run(str(file), "--out", str(out))
+
+
+def test_killed_workers_and_bad_jobs_are_recorded(tmp_path: Path) -> None:
+    """The others are done, and a second start does what was not."""
+    good, killed, bad = hold(tmp_path), hold(tmp_path, "igm"), hold(tmp_path, "walk")
+    with LocalPool(3) as pool:
+        for job in (good, killed, bad):
+            pool.start(job)
+        pool._workers[1].process.kill()
+        ended: list[Job] = []
+        while pool.running:
+            ended += pool.wait(0.5)
+    assert {job.name for job in ended} == {"hold", "igm", "walk"}
+    found = outcome(good.folder)
+    assert found.state == "finished" and found.result is not None
+    assert found.result["objects"]["cylinder"]["share_dropped"]["value"] == 0.0
+    assert outcome(killed.folder).error == "its process was killed by SIGKILL (out of memory?)"
+    error = outcome(bad.folder).error
+    assert error is not None and error.startswith("unknown controller 'walk'; known: igm")
+    failure = json.loads((bad.folder / "failure.json").read_text())
+    assert "Traceback" in failure["traceback"]
+
+
+def test_stopped_in_order_is_no_failure(tmp_path: Path) -> None:
+    job = hold(tmp_path)
+    with LocalPool(1) as pool:
+        pool.start(job)
+    assert outcome(job.folder).state == "unfinished"
+    with locked(job.folder):
+        pass
+
+
+def test_a_task_of_ray_is_the_same_process(tmp_path: Path) -> None:
+    """What runs on the cluster's machines, without a cluster."""
+    job = hold(tmp_path)
+    with pytest.raises(ClusterError, match="is not the same folder on this machine; --out must"):
+        run_here(job.to_json(), "marker")
+    (tmp_path / "controllers").mkdir()
+    (tmp_path / "controllers" / ".sweep").write_text("marker")
+    run_here(job.to_json(), "marker")
+    assert outcome(job.folder).state == "finished"
+
+
+@pytest.mark.slow
+def test_on_a_ray_cluster(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    out = tmp_path / "out"
+    poisoned = out / "runs" / "vge-hold-0"
+    poisoned.mkdir(parents=True)
+    (poisoned / "config.json").write_text("{")
+    prepared = SweepConfig.load(file, steps=100)
+    (out / "sweep.json").write_text(json.dumps({"format": 1, **prepared.to_dict()}))
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False}
+    )
+    try:
+        given = [str(file), "--steps", "100", "--out", str(out), "--ray", cluster.address]
+        assert run(*given) == 1
+        assert "runs/vge-hold-0 failed: " in capsys.readouterr().err
+        (poisoned / "config.json").unlink()
+        assert run(*given) == 0
+    finally:
+        cluster.shutdown()
+    found = json.loads((out / "results.json").read_text())
+    assert [run["state"] for run in found["runs"]] == ["finished", "finished"]
+
+
+def test_no_cluster(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    with pytest.raises(ClusterError, match="no Ray cluster at nonsense"):
+        RayPool("nonsense")
+
+
+def test_bad_input(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InvalidInput, match="--jobs is 0; expected a whole number above 0"):
+        run(str(file), "--jobs", "0")
+    with pytest.raises(InvalidInput, match="there is no sweep in .*: no sweep.json"):
+        run(str(tmp_path))
+    with pytest.raises(InvalidInput, match="--out, --steps and --seed go with a file"):
+        run(str(tmp_path), "--steps", "3")
+    with pytest.raises(InvalidInput, match="--seed is -1"):
+        run(str(file), "--seed", "-1")
+    (tmp_path / "other" / "runs").mkdir(parents=True)
+    with pytest.raises(InvalidInput, match="holds something else; take another --out"):
+        run(str(file), "--out", str(tmp_path / "other"))
+    with pytest.raises(InvalidInput, match="there is no sweep in"):
+        run(str(file), "--out", str(tmp_path / "none"), "--report-only")
