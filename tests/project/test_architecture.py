@@ -39,8 +39,15 @@ ALLOWED = {
     "controllers": {*INSIDE, "dexctl", "controllers"},  # by name
     "application": {*INSIDE, "application", "dexctl", "controllers"},
     "learning": {*INSIDE, "dexctl", "controllers", "learning"},
-    # its commands: the modules learning/cli_*.py, which nothing else of it imports
-    "learning commands": {*INSIDE, "application", "dexctl", "controllers", "learning"},
+    # its commands, the modules learning/cli_*.py, and what only they import: the pages they write
+    "learning commands": {
+        *INSIDE,
+        "application",
+        "dexctl",
+        "controllers",
+        "learning",
+        "learning commands",
+    },
     # its commands print and report
     "hardware": {*INSIDE, "application", "dexctl", "controllers", "hardware"},
 }
@@ -89,7 +96,7 @@ def _imports(path: Path) -> Iterator[str]:
 def room(dotted: str) -> str | None:
     """The room of a module (``dexctl.grasp.contacts`` -> grasp); None for other packages."""
     package, *rest = dotted.split(".")
-    if package == "learning" and rest and rest[0].startswith("cli_"):
+    if package == "learning" and rest and (rest[0].startswith("cli_") or "report" in rest):
         return "learning commands"
     if package in ("learning", "hardware"):
         return package
