@@ -113,7 +113,8 @@ def _typical(found: Inspection) -> str:
         "A typical episode",
         html.paragraph(
             f"Seed {seed}, whose rotation and time held are nearest to the medians. A bar "
-            f"while the fingertip touches, the darker the harder it presses.{outline} Shaded: the grasp is not sound."
+            f"while the fingertip touches, the darker the harder it presses.{outline} "
+            "Shaded: the grasp is not sound."
         ),
         html.plot(
             gait_figure(found, episode, window),
@@ -242,7 +243,8 @@ def _angles(found: Inspection) -> str:
             f"{np.rad2deg(1 / np.sqrt(joints)):.0f}° (grey band). Where either action is zero "
             f"there is no angle: undefined. Over {MOTION:g} s: of the sums of the actions, in "
             "which jitter cancels out. Size: of the action made, over the controller's. "
-            "Controllers in shadow see every state but move nothing, so one that plans a switch of its own may be ahead of what the hand does.",
+            "Controllers in shadow see every state but move nothing, so one that plans "
+            "a switch of its own may be ahead of what the hand does.",
             "note",
         ),
         html.plot(
