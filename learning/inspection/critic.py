@@ -48,6 +48,7 @@ class Critic:
 
     def __init__(self, folder: Path, config: TrainConfig) -> None:
         from learning import checkpoint
+        from learning.agents import StableBaselinesVecEnv
         from learning.train import build
 
         saved = checkpoint.read(folder)
@@ -61,7 +62,8 @@ class Critic:
             device="cpu",
         )
         self._agent = build(small)
-        assert self._agent.env is not None
+        assert isinstance(self._agent.env, StableBaselinesVecEnv)
+        self._observation = self._agent.env.env.observation
         self._agent.env.close()
         try:
             self._agent.policy.load_state_dict(saved["policy"])
@@ -80,8 +82,10 @@ class Critic:
         draws of training.
         """
         batch, d = states.batch_shape, states.q.shape[-1]
-        observation = policy.observation(states).reshape(-1, policy.observation.size)
-        actions = [policy.predict(observation)]
+        seen = policy.observation(states).reshape(-1, policy.observation.size)
+        # the critics' own observation, whatever the policy's is
+        observation = self._observation(states).reshape(-1, self._observation.size)
+        actions = [policy.predict(seen)]
         actions += [policy.action.from_change(change).reshape(-1, d) for change in changes]
         stacked = np.stack(actions).astype(np.float32)  # (K, n, d)
         values = np.empty((len(observation), len(actions)))
