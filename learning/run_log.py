@@ -49,9 +49,7 @@ def who_acted(
 ) -> dict[str, float]:
     """Who acted since the row before, by column; see `Guide.take_counts`."""
     steps = max(int(acted.sum()), 1)
-    row = {"controller_share": float(1.0 - acted[0] / steps)}
-    for i, name in enumerate(controllers, start=1):
-        row[f"share_{name}"] = float(acted[i] / steps)
+    row = {f"share_{name}": float(acted[i] / steps) for i, name in enumerate(controllers, start=1)}
     if choices:
         row["p_psi"] = float(chances[1:].sum() / choices)
         for i, name in enumerate(controllers, start=1):

@@ -27,7 +27,7 @@ from dexctl.exceptions import InvalidInput
 from learning import checkpoint
 from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv
 from learning.envs import FingerGaitingVectorEnv, make_vector
-from learning.exploration import Guide
+from learning.exploration import POLICY, Guide
 from learning.files import write_text
 from learning.policy import PolicySpec, save_policy
 from learning.run_log import RunLog, Tally, who_acted
@@ -112,7 +112,7 @@ def build(config: TrainConfig) -> Agent:
     device = _device(config.device)
     torch.set_num_threads(config.torch_threads)
     env = make_vector(config.env, config.num_envs, config.seed)
-    names = guides(config)
+    names = () if config.guidance.method == "rl" else config.controllers
     period = config.env.control_period
     guide = Guide(
         env,
@@ -150,11 +150,6 @@ def build(config: TrainConfig) -> Agent:
     return GuidedSAC("MlpPolicy", vec_env, **options)
 
 
-def guides(config: TrainConfig) -> tuple[str, ...]:
-    """Names of the controllers that guide a run; none for method "rl"."""
-    return () if config.guidance.method == "rl" else config.controllers
-
-
 def _device(name: str) -> str:
     available = torch.cuda.is_available()
     if name == "cuda" and not available:
@@ -171,7 +166,7 @@ def _run(
     remark: Callable[[str], None] | None,
 ) -> dict[str, Any]:
     resume_at = None if saved is None else saved["counters"]["num_timesteps"]
-    log = RunLog(folder, resume_at, guides(config))
+    log = RunLog(folder, resume_at, _guides(config))
     keeper = _Keeper(config, folder, log, report, remark)
     try:
         if saved is not None:
@@ -257,11 +252,13 @@ class _Keeper(BaseCallback):
         agent = self._agent()
         guide = agent.guide
         assert guide is not None
+        acted, chances, choices = guide.take_counts()
         self.row = {
             "step": agent.num_timesteps,
             "updates": agent._n_updates,
             **self.tally.row(),
-            **who_acted(*guide.take_counts(), guides(self.config)),
+            "controller_share": float(1.0 - acted[POLICY] / max(acted.sum(), 1)),
+            **who_acted(acted, chances, choices, _guides(self.config)),
             **agent.statistics,
             "beta": guide.beta(agent.num_timesteps),
             "seconds": self.seconds,
@@ -353,6 +350,11 @@ def _interruptible(keeper: _Keeper) -> Iterator[None]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+def _guides(config: TrainConfig) -> tuple[str, ...]:
+    """Names of the controllers that guide a run; none for method "rl"."""
+    return () if config.guidance.method == "rl" else config.controllers
 
 
 def _next(step: int, every: int) -> int:

@@ -155,11 +155,11 @@ def test_configurations_from_files() -> None:
 def test_who_acted_by_hand() -> None:
     row = who_acted(np.array([6, 3, 1]), np.array([1.0, 0.6, 0.4]), 2, ("igm", "gait"))
     assert row == pytest.approx(
-        {"controller_share": 0.4, "share_igm": 0.3, "share_gait": 0.1, "p_psi": 0.5,
+        {"share_igm": 0.3, "share_gait": 0.1, "p_psi": 0.5,
          "p_igm": 0.3, "p_gait": 0.2}
     )  # fmt: skip
     assert set(row) <= set(columns(("igm", "gait")))
-    assert who_acted(np.array([4]), np.zeros(1), 0, ()) == {"controller_share": 0.0}
+    assert who_acted(np.array([4]), np.zeros(1), 0, ()) == {}
 
 
 def test_tally_by_hand() -> None:
