@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ COLUMNS = {
     "diverged": "share of them whose simulation broke down",
     "reward": "mean reward of a step since the row before [rad/s]",
     "controller_share": "share of steps since the row before that controllers did",
+    "p_psi": "mean probability of any controller at the choices since the row before",
     "critic_loss": "of the last updates",
     "actor_loss": "of the last updates",
     "bc_loss": "behaviour cloning, before its weight beta",
@@ -31,6 +32,29 @@ COLUMNS = {
     "seconds": "training so far, interruptions left out [s]",
 }
 """What the columns of the CSV file are; numbers that there are none of are empty."""
+
+
+def columns(controllers: Sequence[str] = ()) -> dict[str, str]:
+    """The columns of a run's CSV file: `COLUMNS`, with two more for each controller."""
+    more = {}
+    for name in controllers:
+        more[f"share_{name}"] = f"share of steps since the row before that {name} did"
+        more[f"p_{name}"] = f"mean probability of {name} at the choices since the row before"
+    *others, last = COLUMNS  # "seconds" stays last: a row without it was cut short
+    return {name: COLUMNS[name] for name in others} | more | {last: COLUMNS[last]}
+
+
+def who_acted(
+    acted: np.ndarray, chances: np.ndarray, choices: int, controllers: Sequence[str]
+) -> dict[str, float]:
+    """Who acted since the row before, by column; see `Guide.take_counts`."""
+    steps = max(int(acted.sum()), 1)
+    row = {f"share_{name}": float(acted[i] / steps) for i, name in enumerate(controllers, start=1)}
+    if choices:
+        row["p_psi"] = float(chances[1:].sum() / choices)
+        for i, name in enumerate(controllers, start=1):
+            row[f"p_{name}"] = float(chances[i] / choices)
+    return row
 
 
 class Tally:
@@ -94,21 +118,25 @@ class RunLog:
         folder: of the run.
         resume_at: continue logs that were written up to this step; what they have beyond it, of
             a run that was killed after its last checkpoint, is taken out. None begins anew.
+        controllers: those that have columns of their own.
     """
 
-    def __init__(self, folder: Path, resume_at: int | None = None) -> None:
+    def __init__(
+        self, folder: Path, resume_at: int | None = None, controllers: Sequence[str] = ()
+    ) -> None:
         from torch.utils.tensorboard import SummaryWriter
 
         self.path = folder / CSV_NAME
+        names = columns(controllers)
         rows = [] if resume_at is None else self._rows_until(resume_at)
         partial = self.path.with_suffix(".csv.partial")
         with partial.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
+            writer = csv.DictWriter(file, names, restval="", lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
         partial.replace(self.path)
         self._file = self.path.open("a", newline="", encoding="utf-8")
-        self._csv = csv.DictWriter(self._file, COLUMNS, restval="", lineterminator="\n")
+        self._csv = csv.DictWriter(self._file, names, restval="", lineterminator="\n")
         self._board = SummaryWriter(
             str(folder / TENSORBOARD_FOLDER),
             purge_step=0 if resume_at is None else resume_at + 1,

@@ -32,7 +32,7 @@ from learning.envs.observation import Observation
 from learning.exploration import POLICY, Guide
 from learning.files import write_text
 from learning.policy import PolicySpec, save_policy
-from learning.run_log import RunLog, Tally
+from learning.run_log import RunLog, Tally, who_acted
 from learning.settings import TrainConfig
 
 CONFIG_NAME = "config.json"
@@ -183,7 +183,8 @@ def _run(
     report: Report | None,
     remark: Callable[[str], None] | None,
 ) -> dict[str, Any]:
-    log = RunLog(folder, None if saved is None else saved["counters"]["num_timesteps"])
+    resume_at = None if saved is None else saved["counters"]["num_timesteps"]
+    log = RunLog(folder, resume_at, _guides(config))
     keeper = _Keeper(config, folder, log, report, remark)
     try:
         if saved is not None:
@@ -271,12 +272,13 @@ class _Keeper(BaseCallback):
         agent = self._agent()
         guide = agent.guide
         assert guide is not None
-        acted, guide.acted = guide.acted, np.zeros_like(guide.acted)
+        acted, chances, choices = guide.take_counts()
         self.row = {
             "step": agent.num_timesteps,
             "updates": agent._n_updates,
             **self.tally.row(),
             "controller_share": float(1.0 - acted[POLICY] / max(acted.sum(), 1)),
+            **who_acted(acted, chances, choices, _guides(self.config)),
             **agent.statistics,
             "beta": guide.beta(agent.num_timesteps),
             "seconds": self.seconds,
@@ -368,6 +370,11 @@ def _interruptible(keeper: _Keeper) -> Iterator[None]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+def _guides(config: TrainConfig) -> tuple[str, ...]:
+    """Names of the controllers that guide a run; none for method "rl"."""
+    return () if config.guidance.method == "rl" else config.controllers
 
 
 def _next(step: int, every: int) -> int:

@@ -42,6 +42,10 @@ figcaption { margin-top: .3rem; }
 .strip figcaption { font-size: .85rem; }
 code { font: .92em ui-monospace, "DejaVu Sans Mono", Menlo, monospace; background: #f1f4f6;
   padding: .1em .3em; border-radius: 3px; }
+/* on a phone plots keep a size that can be read, and scroll sideways */
+@media screen and (max-width: 44rem) { main { padding: 1rem .9rem 3rem; }
+  figure.plot { overflow-x: auto; } figure.plot img { width: 44rem; max-width: none; }
+  figure.plot figcaption { position: sticky; left: 0; max-width: calc(100vw - 1.8rem); } }
 @media print { figure video { display: none; } main { max-width: none; padding: 0; }
   h2 { break-after: avoid; }
   body { font-size: 11px; } section { break-inside: avoid; } }
@@ -97,7 +101,8 @@ def plot(figure: Figure, alt: str, caption: str = "") -> str:
     """A matplotlib figure as an SVG inside the page."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return image(buffer.getvalue(), alt, caption, kind="svg+xml")
+    drawn = image(buffer.getvalue(), alt, caption, kind="svg+xml")
+    return drawn.replace("<figure>", '<figure class="plot">', 1)
 
 
 def image(content: bytes, alt: str, caption: str = "", kind: str = "png") -> str:

@@ -158,6 +158,8 @@ class Guide:
     Attributes:
         lengths: H of each candidate, ``(1 + controllers,)`` [steps].
         acted: steps that each candidate has acted, ``(1 + controllers,)``.
+        chances: sums over choices of each candidate's probability, ``(1 + controllers,)``.
+        choices: how many choices of who acts there were.
     """
 
     def __init__(
@@ -180,6 +182,7 @@ class Guide:
         self._streams = Streams(seed, (env.num_envs,))
         self.segments = Segments.start(env.num_envs)
         self.acted = np.zeros(len(self.lengths), np.int64)
+        self.chances, self.choices = np.zeros(len(self.lengths)), 0
         for controller in self.controllers:
             controller.reset(seed)
 
@@ -213,9 +216,12 @@ class Guide:
         if not self.config.follows:
             self.acted[POLICY] += len(learner)
             return Guided(learner, self.segments.actor, ~nobody, proposed[1])
+        chances = self._probabilities(step, np.flatnonzero(due), proposed, values)
+        self.chances += np.broadcast_to(chances, (len(due), len(proposed)))[due].sum(axis=0)
+        self.choices += int(due.sum())
         self.segments = advance(
             self.segments,
-            self._probabilities(step, np.flatnonzero(due), proposed, values),
+            chances,
             self._streams.uniform(mask=due),
             self.lengths,
         )
@@ -248,6 +254,13 @@ class Guide:
             found[rows] = value_probabilities(of_rows.T, config.temperature)
         return found
 
+    def take_counts(self) -> tuple[np.ndarray, Floats, int]:
+        """`acted`, `chances` and `choices` since the last call; they begin anew."""
+        found = self.acted, self.chances, self.choices
+        self.acted, self.chances = np.zeros_like(self.acted), np.zeros_like(self.chances)
+        self.choices = 0
+        return found
+
     def after_step(self, done: Bools) -> None:
         """Tell which episodes have ended, ``(N,)``: their environments begin anew."""
         self.segments = self.segments.after_step(done)
@@ -262,6 +275,8 @@ class Guide:
             "left": self.segments.left,
             "streams": tuple(self._streams.save()),
             "acted": self.acted.copy(),
+            "chances": self.chances.copy(),
+            "choices": self.choices,
             "controllers": [_pickled(controller) for controller in self.controllers],
         }
 
@@ -282,6 +297,9 @@ class Guide:
         self.segments = Segments(saved["actor"].copy(), saved["left"].copy())
         self._streams.restore(type(self._streams.save())(*saved["streams"]))
         self.acted = saved["acted"].copy()
+        # checkpoints of earlier versions have not counted these
+        self.chances = np.array(saved.get("chances", np.zeros(len(self.lengths))))
+        self.choices = int(saved.get("choices", 0))
         self.controllers = tuple(
             _unpickled(data, controller.hand)
             for data, controller in zip(saved["controllers"], self.controllers, strict=True)

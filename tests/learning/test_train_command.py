@@ -25,7 +25,7 @@ from learning import checkpoint
 from learning.cli_env_options import EnvOptions
 from learning.cli_train import Train
 from learning.envs import EnvConfig, InitialStates
-from learning.run_log import COLUMNS, RunLog, Tally
+from learning.run_log import RunLog, Tally, columns, who_acted
 from learning.settings import TrainConfig
 from learning.train import build, policy_layers, train
 
@@ -59,7 +59,9 @@ def test_a_run_leaves_logs_a_checkpoint_and_a_policy(
     with (folder / "progress.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["step"] for row in rows] == ["100", "200"]
-    assert list(rows[0]) == list(COLUMNS)
+    assert list(rows[0]) == list(columns(("gait",)))
+    assert float(rows[0]["share_gait"]) == float(rows[0]["controller_share"])
+    assert 0.0 < float(rows[0]["p_psi"]) == float(rows[0]["p_gait"]) < 1.0
     assert 0.0 <= float(rows[0]["controller_share"]) <= 1.0
     assert list((folder / "tensorboard").iterdir())
     policy = learning.load_policy(folder / "policy.npz")
@@ -193,6 +195,16 @@ def test_configurations_from_files() -> None:
         TrainConfig.from_dict({**config.to_dict(), "colour": "red"})
     with pytest.raises(UnknownName, match="unknown controller"):
         TrainConfig(controllers=("igm", "crawl"))
+
+
+def test_who_acted_by_hand() -> None:
+    row = who_acted(np.array([6, 3, 1]), np.array([1.0, 0.6, 0.4]), 2, ("igm", "gait"))
+    assert row == pytest.approx(
+        {"share_igm": 0.3, "share_gait": 0.1, "p_psi": 0.5,
+         "p_igm": 0.3, "p_gait": 0.2}
+    )  # fmt: skip
+    assert set(row) <= set(columns(("igm", "gait")))
+    assert who_acted(np.array([4]), np.zeros(1), 0, ()) == {}
 
 
 def test_tally_by_hand() -> None:

@@ -1,0 +1,110 @@
+"""The plots over training: who acted, p_psi, return, rotation, drops, losses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dexctl.report.figures import WIDTH
+from dexctl.report.style import FAINT, INK, controller_line, new_figure, title_of
+from learning.inspection.training import TrainingLog
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_LINE = "#0072b2"
+
+
+def acting_figure(log: TrainingLog) -> Figure:
+    """Who acted, stacked up to 1, and how likely the critic found each controller."""
+    figure = new_figure(WIDTH, 4.2)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    steps, shares = _millions(log), log.shares()
+    if shares:
+        stacked = [np.nan_to_num(share) for share in shares.values()]
+        policy = np.clip(1.0 - np.sum(stacked, axis=0), 0.0, 1.0)
+        top.stackplot(
+            steps,
+            *stacked,
+            policy,
+            labels=[*(title_of(name) for name in shares), "policy"],
+            colors=[*(controller_line(name)["color"] for name in shares), "#e8ecef"],
+            alpha=0.85,
+            lw=0,
+        )
+        top.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=5, handlelength=1.2)
+    else:
+        _say(top, "no controllers guided this run")
+    top.set(ylabel="share of the steps", ylim=(0, 1))
+    if log.has("p_psi"):
+        for name in log.guides:
+            if log.has(f"p_{name}"):
+                bottom.plot(steps, log.columns[f"p_{name}"], label=title_of(name),
+                            **controller_line(name))  # fmt: skip
+        if len(log.guides) > 1:
+            bottom.plot(steps, log.columns["p_psi"], color=INK, lw=1.0, label="any of them")
+        bottom.legend(loc="best")
+    else:
+        _say(bottom, "p_psi is not in this run's log")
+    stop = log.config.guidance.hard_stop / _unit(log)[0]
+    if log.guides and stop <= steps[-1]:
+        for axes in (top, bottom):
+            axes.axvline(stop, color=INK, lw=1.0, ls=(0, (4, 2)))
+        bottom.annotate(" hard stop", (stop, 0.98), va="top", fontsize=8)
+    bottom.set(ylabel="p_psi", ylim=(0, 1), xlabel=_label(log))
+    bottom.set_title("Mean probability of a controller at the choices", fontsize=9)
+    bottom.margins(x=0)
+    return figure
+
+
+def learning_figure(log: TrainingLog) -> Figure:
+    """Return, rotation, share dropped, length; losses and values."""
+    figure = new_figure(WIDTH, 6.2)
+    panels = figure.subplots(3, 2, sharex=True)
+    steps = _millions(log)
+    for axes, name, label, title in (
+        (panels[0, 0], "return", "[rad/s]", "Return of an episode"),
+        (panels[0, 1], "rotation", "[rad]", "Rotation in an episode"),
+        (panels[1, 0], "dropped", "share", "Episodes that ended with a drop"),
+        (panels[1, 1], "length", "[control steps]", "Length of an episode"),
+        (panels[2, 0], "critic_loss", "", "Critic loss"),
+        (panels[2, 1], "q_mean", "", "Mean value of the policy's actions"),
+    ):
+        if log.has(name):
+            values = log.columns[name]
+            known = np.isfinite(values)
+            axes.plot(steps[known], values[known], color=_LINE, lw=1.2,
+                      marker="." if known.sum() < 25 else "")  # fmt: skip
+        else:
+            _say(axes, "none yet")
+        axes.set(ylabel=label)
+        axes.set_title(title)
+    panels[1, 0].set_ylim(0, 1.02)
+    if log.has("critic_loss") and np.nanmin(log.columns["critic_loss"]) > 0:
+        panels[2, 0].set_yscale("log")
+    if log.has("bc_loss") and np.nanmax(np.abs(log.columns["bc_loss"])) > 0:
+        panels[2, 1].plot(steps, log.columns["bc_loss"], color="#d55e00", lw=1.0, ls="--",
+                          label="behaviour cloning loss")  # fmt: skip
+        panels[2, 1].legend(loc="best", fontsize=8)
+    for axes in panels[2]:
+        axes.set(xlabel=_label(log))
+    figure.align_ylabels(panels[:, 0])
+    return figure
+
+
+def _say(axes: Axes, words: str) -> None:
+    axes.text(0.5, 0.5, words, ha="center", va="center", color=FAINT, transform=axes.transAxes)
+
+
+def _unit(log: TrainingLog) -> tuple[float, str]:
+    return (1e6, "million") if log.columns["step"][-1] >= 5e5 else (1e3, "thousand")
+
+
+def _millions(log: TrainingLog) -> np.ndarray:
+    return log.columns["step"] / _unit(log)[0]
+
+
+def _label(log: TrainingLog) -> str:
+    return f"environment steps [{_unit(log)[1]}]"

@@ -1,0 +1,257 @@
+"""``dexctl inspect``: of a run, of a policy file, of a controller in the policy's place."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("matplotlib")
+
+from dexctl.cli.parsing import parse
+from dexctl.exceptions import DexctlError
+from learning import checkpoint
+from learning.cli_inspect import Inspect
+from learning.envs import EnvConfig
+from learning.evaluate import Protocol
+from learning.exploration import GuidanceConfig
+from learning.inspection import open_subject, roll_out
+from learning.inspection.training import read_training
+from learning.policy import load_policy, save_policy
+from learning.settings import TrainConfig
+from learning.train import train
+
+SECTIONS = (
+    "What it does", "A typical episode", "How the fingers take turns", "How sound the grasp is",
+    "Compared with the controllers", "What the critic thinks", "Where and why drops begin",
+    "Over training", "Conditions",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A real training run, as short as one can be; its policy drops the object at once."""
+    folder = tmp_path_factory.mktemp("inspect") / "run"
+    config = TrainConfig(
+        env=EnvConfig(object="cylinder", threads=1),
+        guidance=GuidanceConfig(method="vge"),
+        controllers=("igm", "gait"),
+        steps=240,
+        num_envs=4,
+        network=(16, 16),
+        batch_size=16,
+        learning_starts=40,
+        buffer_size=240,
+        log_every=80,
+        device="cpu",
+    )
+    train(config, folder)
+    return folder
+
+
+def run(*arguments: str) -> int:
+    command = parse(Inspect, "dexctl inspect", arguments)
+    assert command is not None
+    return command.run()
+
+
+def check_page(page: str) -> list[str]:
+    """The page's headings, where it loads nothing from elsewhere."""
+    assert not re.search(r"(?:src|href)=[\"'](?!data:)", page)
+    assert "url(" not in page and "<script" not in page and "@import" not in page
+    assert page.count("<figure") >= 7
+    return re.findall(r"<h2>(.*?)</h2>", page)
+
+
+def test_it_is_found_by_name() -> None:
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    points = tomllib.loads(text)["project"]["entry-points"]["dexctl.commands"]
+    assert EntryPoint("inspect", points["inspect"], "dexctl.commands").load() is Inspect
+
+
+def test_a_run(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    arguments = ("--episodes", "2", "--seconds", "2", "--out", str(out), "--json")
+    assert run(str(run_folder), *arguments) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found == json.loads((out / "inspect.json").read_text())
+    page = (out / "report.html").read_text()
+    assert check_page(page) == list(SECTIONS)
+    assert "in-grasp manipulation" in page and "p_psi" in page
+    assert found["kind"] == "run" and found["object"] == "cylinder"
+    assert found["angles"].keys() == {"igm", "gait"}  # those that guided it
+    assert 0.0 < found["angles"]["igm"]["all"]["median_deg"] < 180.0
+    candidates = found["critic"]["candidates"]
+    assert list(candidates) == ["policy", "igm", "gait"]
+    assert found["critic"]["checkpoint_steps"] == 240
+    assert 0.0 < found["critic"]["p_psi"]["median"] < 1.0
+    assert found["training"]["step"] == [80, 160, 240]
+    assert found["training"]["rows"] == 3
+    assert len(found["episodes"]) == 2 and found["episodes"][1]["seed"] == 1
+    assert sum(found["gait"]["fingers_in_contact_share"]) == pytest.approx(1.0)
+    assert sum(one["count"] for one in found["drops"]["causes"].values()) == len(
+        found["drops"]["each"]
+    )
+
+
+def test_p_psi_is_what_training_would_find(run_folder: Path) -> None:
+    """The agent of the whole run, restored, against the critic of the inspection."""
+    from dataclasses import replace
+
+    from learning.exploration.mixture import value_probabilities
+    from learning.train import build
+
+    subject = open_subject(str(run_folder))
+    found = roll_out(subject, "cylinder", Protocol(episodes=2, seconds=0.2, threads=1))
+    assert found.valued is not None
+    assert found.valued.chances.shape == (4, 2, 3)
+    config = read_training(run_folder).config
+    agent = build(replace(config, device="cpu"))
+    try:
+        checkpoint.restore(agent, checkpoint.read(run_folder))
+        row, episode = 3, 1
+        state = _state(found.trace, row, episode)
+        policy = subject.controller
+        observation = policy.observation(state)  # type: ignore[attr-defined]
+        agent._last_obs = observation[None]
+        proposed = [policy.predict(observation)]  # type: ignore[attr-defined]
+        proposed += [
+            policy.action.from_change(found.shadows[name][row, episode])  # type: ignore[attr-defined]
+            for name in ("igm", "gait")
+        ]
+        values = agent._values(np.array([0]), np.array(proposed, np.float32)[:, None])
+        expected = value_probabilities(values[:, 0])
+        assert found.valued.chances[row, episode] == pytest.approx(expected, abs=1e-5)
+    finally:
+        assert agent.env is not None
+        agent.env.close()
+
+
+def _state(trace: Any, row: int, episode: int) -> Any:
+    from dexctl.state import GraspState
+
+    names = ("q", "q_target", "in_contact", "contact_position", "contact_normal", "contact_force",
+             "object_position", "object_quaternion")  # fmt: skip
+    return GraspState(**{name: getattr(trace, name)[row, episode] for name in names})
+
+
+def test_a_policy_file(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "alone.npz"
+    shutil.copy(run_folder / "policy.npz", file)
+    out = tmp_path / "out"
+    arguments = ("--episodes", "2", "--seconds", "0.5", "--out", str(out))
+    assert run(str(file), "--controller", "coordinated", "--object", "cube", *arguments) == 0
+    said = capsys.readouterr()
+    assert "rotation" in said.out and "coordinated gait" in said.out
+    assert "has no critic" in said.err and "trained with cylinder, not with cube" in said.err
+    page = (out / "report.html").read_text()
+    assert check_page(page) == [name for name in SECTIONS if name != "Over training"]
+    assert "There is no critic to ask" in page
+    found = json.loads((out / "inspect.json").read_text())
+    assert found["critic"] is None and found["training"] is None
+    assert list(found["angles"]) == ["coordinated"]
+    assert found["card"]["steps"] == 240
+
+
+def test_a_controller_in_the_policys_place(tmp_path: Path) -> None:
+    """The coordinated gait against itself: no angle; against one that holds still: undefined."""
+    out = tmp_path / "out"
+    names = ("--controller", "coordinated", "hold")
+    arguments = ("--episodes", "2", "--seconds", "3", "--object", "cylinder", "--out", str(out))
+    assert run("coordinated", *names, *arguments) == 0
+    found = json.loads((out / "inspect.json").read_text())
+    assert found["angles"]["coordinated"]["all"]["median_deg"] == pytest.approx(0.0, abs=1e-6)
+    assert found["angles"]["coordinated"]["size_ratio_median"] == pytest.approx(1.0)
+    assert found["angles"]["hold"]["all"]["undefined_share"] == 1.0
+    assert found["angles"]["hold"]["all"]["median_deg"] is None
+    assert found["results"]["share_dropped"]["value"] == 0.0
+    assert found["drops"]["each"] == []
+    assert found["grasp"]["sound_share"] > 0.9
+    page = (out / "report.html").read_text()
+    check_page(page)
+    assert "None of the 2 episodes ended with a drop" in page
+    assert "Coordinated gait: dex5 turns a cylinder" in page
+
+
+def test_shadows_change_nothing(run_folder: Path) -> None:
+    """What is inspected does, to the bit, what it does in the evaluation."""
+    from learning.evaluate import evaluate
+
+    protocol = Protocol(episodes=2, seconds=1.0, threads=1)
+    subject = open_subject(str(run_folder / "policy.npz"))
+    found = roll_out(subject, "cylinder", protocol).evaluation
+    alone = evaluate(subject.controller, "cylinder", protocol)
+    for name in ("rotation", "time_held", "dropped", "returns"):
+        assert (getattr(found, name) == getattr(alone, name)).all()
+
+
+def test_bad_input(run_folder: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    early = tmp_path / "early"
+    early.mkdir()
+    shutil.copy(run_folder / "config.json", early)
+    broken = tmp_path / "broken.npz"
+    broken.write_text("no numpy file")
+    old = tmp_path / "old"
+    shutil.copytree(run_folder, old)
+    other = tmp_path / "other.npz"
+    policy = load_policy(run_folder / "policy.npz")
+    spec = policy.spec._replace(fingertip_names=("thumb",))
+    save_policy(other, policy.layers, spec)
+    import torch
+
+    torch.save({"format": 99}, old / checkpoint.NAME)
+    cases = [
+        ((str(tmp_path / "none"),), "is not there, and no controller; expected a run folder"),
+        (("coordinate",), r"or one of igm, switch, gait, coordinated, hold$"),
+        ((str(broken),), "is not a policy file"),
+        ((str(tmp_path / "none.npz"),), "no such file"),
+        ((str(empty),), "is no run folder: there is no config.json in it"),
+        ((str(early),), "has no policy.npz yet"),
+        ((str(old),), "has format 99; this version reads format 1"),
+        ((str(run_folder), "--controller", "igm", "walk"), "unknown controller 'walk'; known: igm"),
+        ((str(run_folder), "--object", "teapot"), "unknown object 'teapot'; known: .*cylinder"),
+        ((str(other),), r"the policy is for the hand 'dex5' \(15 joints, 1 fingers\); got 'dex5'"),
+        ((str(run_folder), "--hand", "paw"), "unknown hand 'paw'"),
+        ((str(run_folder), "--episodes", "0"), "--episodes is 0"),
+        ((str(run_folder), "--seconds", "nan"), "--seconds is nan"),
+        ((str(run_folder), "--seed", "-1"), "--seed is -1"),
+    ]
+    out = tmp_path / "out"
+    for arguments, said in cases:
+        with pytest.raises(DexctlError, match=said) as caught:
+            run(*arguments, "--out", str(out))
+        assert "\n" not in str(caught.value)
+    assert not out.exists()
+
+
+def test_a_run_without_checkpoint_or_with_an_old_log(run_folder: Path, tmp_path: Path) -> None:
+    old = tmp_path / "old"
+    shutil.copytree(run_folder, old)
+    (old / checkpoint.NAME).unlink()
+    lines = (old / "progress.csv").read_text().splitlines()
+    names = lines[0].split(",")
+    kept = [i for i, name in enumerate(names) if not name.startswith(("p_", "share_"))]
+    rows = [",".join(line.split(",")[i] for i in kept) for line in lines]
+    (old / "progress.csv").write_text("\n".join(rows) + "\n7,1")  # cut short by a kill
+    log = read_training(old)
+    assert len(log) == 3 and list(log.shares()) == ["controllers"]
+    out = tmp_path / "out"
+    assert run(str(old), "--episodes", "1", "--seconds", "0.5", "--out", str(out)) == 0
+    page = (out / "report.html").read_text()
+    assert "no checkpoint.pt" in page and "Over training" in check_page(page)
+    (old / "progress.csv").write_text("step,seconds\nx,1\n")
+    with pytest.raises(DexctlError, match=r"progress\.csv is not a training log"):
+        read_training(old)
