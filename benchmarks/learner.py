@@ -1,10 +1,11 @@
 """Training throughput: our learner against stock stable-baselines3 SAC, and where its time goes.
 
 Both have the same environments behind the same adapter, the same networks, batches and number of
-updates; stock SAC has its own replay buffer, Adam and loop. torch has one thread, as in `dexctl train`;
-`--two-threads` measures stock with two as well, and compares with the faster. The sides take turns of some steps each, so that all meet the same load; a ratio is one of two sides in
-the same round. Beside the wall clock, which the machine's other work disturbs, the processor time
-of all threads is measured.
+updates; stock SAC has its own replay buffer, Adam and loop. torch has one thread, as in `dexctl
+train`; `--two-threads` measures stock with two as well, and compares with the faster. The sides
+take turns of some steps each, so that all meet the same load; a ratio is one of two sides in the
+same round. Beside the wall clock, which the machine's other work disturbs, the processor time of
+all threads is measured.
 
 Where the time goes is measured without the overlap of simulation and updates, by the clock at the
 calls in between.
@@ -54,7 +55,7 @@ class Options(Settings):
     object: str = "cylinder"
     """Object in the hand."""
     two_threads: bool = False
-    """Measure stock with two torch threads too; beside other work they wait for each other busily."""
+    """Measure stock with two torch threads too; beside other work they spend it in waiting."""
     warm_up: int = 60
     """Control steps before; updates begin after a half of them."""
 

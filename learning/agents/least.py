@@ -26,7 +26,7 @@ def least_value(
     inputs = torch.cat([observation, action.detach()], dim=1)
     plain = all(layers is not None for layers in networks)
     if plain and action.device.type == "cpu" and critic.share_features_extractor:
-        return _Least.apply(action, inputs, networks)  # type: ignore[return-value]
+        return _Least.apply(action, inputs, networks)
     values = torch.cat(critic(observation, action), dim=1)
     return values.min(dim=1, keepdim=True).values, values.detach()
 
