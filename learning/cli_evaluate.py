@@ -34,35 +34,34 @@ class Evaluate:
     whose centre moves by more than 0.05 m is dropped; rotation is the unwrapped angle about the
     axis up to the drop. Intervals are at 95 %: bootstrap over episodes, Wilson for shares.
 
-    With --out, the same command goes on where it was killed.
+    What is not said is as in training; for a controller a cube, palm up, about z. With --out, the
+    same command goes on where it was killed.
     """
 
-    policy: Annotated[str | None, tyro.conf.Positional] = None
+    policy: Annotated[
+        str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY]", help_behavior_hint="")
+    ] = None
     """A policy file (.npz), or the name of a controller: igm, switch, gait, coordinated, hold."""
     transfer: tuple[str, ...] = ()
-    """Instead of one policy, several of an object each: what each does with the objects of all. The
-    object is in a policy's card; otherwise as in cube=POLICY."""
+    """Policies instead of one, of an object each (cube=POLICY if no card says); gives R_ij/R_ii."""
     robustness: bool = False
     """Once more for each kind and level of sensor noise, and of push on the object (20 of them)."""
     object: tuple[str, ...] = ()
-    """Name of the object, or several, one after the other; by default those that the policy was
-    trained on, and cube for a controller. With --transfer: further ones."""
+    """Name of the object, or several; by default as in training. With --transfer: further ones."""
     gravity: str | None = None
-    """Which way the palm looks: up, down, or gravity as x,y,z in m/s^2; by default as in training,
-    and up for a controller."""
+    """How the palm looks: up, down, or gravity as x,y,z in m/s^2; by default as in training."""
     axis: str | None = None
-    """Hand axis that rotation is counted about: x, y, z or a vector as x,y,z; by default as in
-    training, and z for a controller."""
+    """Hand axis that rotation is about: x, y, z or a vector x,y,z; by default as in training."""
     hand: str | None = None
     """Name of the hand; by default the policy's own, and dex5 for a controller."""
     parts: tuple[str, ...] = ()
-    """Observation parts that there are sensors for; a policy trained with others is refused."""
+    """Observation parts that there are; a policy that was trained with others is refused."""
     latency: float = 0.0
     """How old what is sensed is, rounded to control steps [s]."""
     object_size: float | None = None
-    """Width of the object [m]; by default as in training, and what suits the hand."""
+    """Width of the object [m]; by default as in training."""
     object_mass: float | None = None
-    """Of the object [kg]; by default as in training, and 0.1."""
+    """Of the object [kg]; by default as in training."""
     episodes: int = 100
     """How many, for each object."""
     seconds: float = 60.0

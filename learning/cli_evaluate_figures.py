@@ -100,7 +100,7 @@ def draw_robustness(path: Path, evaluations: Sequence[Evaluation]) -> None:
             column[1].set(xlabel=label)
         axes[0, 0].set(ylabel="rotation before a drop [rad]\n(median, 95 % bootstrap)")
         axes[1, 0].set(ylabel="dropped [%]\n(95 % Wilson)")
-        axes[1, 0].set_ylim(0, 102)
+        axes[1, 0].set_ylim(-3, 102)
         axes[0, 0].set_ylim(bottom=min(0.0, axes[0, 0].get_ylim()[0]))
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=min(len(labels), 5))

@@ -36,7 +36,7 @@ def print_transfer(found: Transfer, protocol: Protocol) -> None:
     console.print(f"[bold]Transfer, {_setting(protocol)}[/bold]", soft_wrap=True)
     console.print(_episodes(protocol), soft_wrap=True)
     console.print(
-        "Median rotation over that with the policy's own object, and the rotation, rad\n",
+        "Median rotation over that with the policy's own object (and the rotation itself)\n",
         soft_wrap=True,
     )
     table = _table()
@@ -46,7 +46,9 @@ def print_transfer(found: Transfer, protocol: Protocol) -> None:
         cells = []
         for j in range(len(found.objects)):
             score, raw = found.score(i, j), found.raw(i, j)
-            cells.append(f"{'-' if score is None else f'{score.value:.2f}'}  {_interval(raw)}")
+            cells.append(
+                f"{'   -' if score is None else f'{score.value:.2f}'} ({raw.value:.2f} rad)"
+            )
         table.add_row(policy.object, *cells)
     console.print(table)
 
@@ -54,6 +56,7 @@ def print_transfer(found: Transfer, protocol: Protocol) -> None:
 def _figures(one: Evaluation) -> Table:
     """One evaluation: a row for each figure."""
     figures, table = one.figures(), _table()
+    table.show_header = False
     for name, figure, factor, digits, unit in (
         ("rotation", "rotation_median_rad", 1.0, 2, " rad"),
         ("revolutions", "revolutions_median", 1.0, 2, ""),

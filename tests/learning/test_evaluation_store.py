@@ -113,3 +113,20 @@ def test_a_killed_sweep_continues(tmp_path: Path) -> None:
     assert len(list(out.glob("points/cube*.npz"))) == 21
     for name in ("evaluate.json", "figures.csv", "curves.csv", "episodes.csv"):
         assert (out / name).stat().st_size > 0
+
+
+def test_a_full_disk_loses_nothing_that_was_there(
+    dex5: dexctl.HandModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hold, store = controllers.make("hold", dex5), EvaluationStore(tmp_path)
+    store(hold, "cube", SHORT)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def full(stream, **arrays) -> None:
+        stream.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OSError, match="No space left on device"):
+        store(hold, "cube", replace(SHORT, seed=1))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
