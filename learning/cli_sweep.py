@@ -78,7 +78,7 @@ class Sweep:
             from learning.cli_sweep_display import Display
 
             total = len(config.runs) + len(config.evaluation.controllers)
-            with _terminated_like_interrupted(), self._pool() as pool, Display(total) as lines:
+            with self._pool() as pool, Display(total) as lines, _terminated_like_interrupted():
                 run_all(config, folder, pool, watch=lines.show)
             return self._report(config, folder)
 
@@ -154,7 +154,7 @@ def _failures(found: dict[str, Any], folder: Path) -> int:
 
 @contextmanager
 def _terminated_like_interrupted() -> Iterator[None]:
-    """SIGTERM stops the runs in order, as Ctrl-C does."""
+    """SIGTERM stops the runs in order, as Ctrl-C does; entered last, for Ray has a handler too."""
 
     def stop(number: int, frame: object) -> None:
         raise KeyboardInterrupt
@@ -163,4 +163,5 @@ def _terminated_like_interrupted() -> Iterator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        # None: it was not set from Python
+        signal.signal(signal.SIGTERM, signal.SIG_DFL if before is None else before)
