@@ -4,7 +4,7 @@ From each drop we walk back to the last moment at which the grasp was sound. Wha
 it is the cause. The rule, with the numbers of `DropRule`:
 
 A grasp is *sound* where at least 3 fingertips touch, they have force closure, nothing else
-touches the object, and the object is tilted by at most 0.5 rad. Only spells of at least 0.25 s
+touches the object, and the object is tilted by at most 0.5 rad. Only spells of at least 0.5 s
 count: on the way down contacts flicker. The *onset* is the end of the last sound spell before the
 drop. Its cause is the first of these that holds:
 
@@ -68,7 +68,7 @@ class DropRule:
 
     fingertips: int = 3
     tilt: float = 0.5
-    spell: float = 0.25
+    spell: float = 0.5
     window: float = 0.25
     retreat: float = 0.003
     slip: float = 0.003

@@ -123,9 +123,9 @@ def _typical(found: Inspection) -> str:
         ),
         html.plot(
             timeline_figure(found, episode, (0.0, max(end, 10 * found.period))),
-            "Contacts, rotation, residual, margin and angles over the typical episode",
-            "The whole episode: contacts, rotation, residual and margin of the grasp, angles to "
-            f"the controllers (of motions over {MOTION:g} s){probability}.",
+            "Contacts, rotation, drift, residual, margin and angles over the typical episode",
+            "The whole episode: contacts, rotation, drift, residual and margin of the grasp, and "
+            f"angles to the controllers (of motions over {MOTION:g} s){probability}.",
         ),
     )
 

@@ -26,16 +26,17 @@ def timeline_figure(
 ) -> Figure:
     """An episode within ``window`` [s]; the moment at which a drop begins and ends is marked."""
     critic = found.rollouts.valued is not None
-    heights = [1.9, 1.0, 0.9, 0.9, 1.2, *([1.0] if critic else [])]
+    heights = [1.9, 1.0, 0.9, 0.9, 0.9, 1.2, *([1.0] if critic else [])]
     figure = new_figure(WIDTH, 0.95 * sum(heights) + 1.6)
     rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     contacts(figure, rows[0], found, episode, window)
     _speed(rows[1], found, episode, window)
-    _residual(rows[2], found, episode)
-    _margin(rows[3], found, episode)
-    _angles(rows[4], found, episode)
+    _drift(rows[2], found, episode)
+    _residual(rows[3], found, episode)
+    _margin(rows[4], found, episode)
+    _angles(rows[5], found, episode)
     if critic:
-        _chances(rows[5], found, episode)
+        _chances(rows[6], found, episode)
     _mark(rows, found, episode, drop)
     rows[-1].set(xlabel="time [s]")
     rows[-1].set_xlim(*window)
@@ -125,6 +126,25 @@ def _speed(axes: Axes, found: Inspection, episode: int, window: tuple[float, flo
     speed.grid(visible=False)
 
 
+def _drift(axes: Axes, found: Inspection, episode: int) -> None:
+    trace = found.rollouts.trace
+    held = trace.held[:, episode]
+    away = 1e3 * (trace.object_position[held, episode] - trace.object_position[0, episode])
+    axes.plot(trace.time[held], away[:, 2], color=INK, lw=1.1, label="up")
+    aside = np.hypot(away[:, 0], away[:, 1])
+    axes.plot(trace.time[held], aside, color=FAINT, lw=1.1, label="aside")
+    axes.set(ylabel="drift [mm]")
+    axes.set_title("How far the object is from its start, and its tilt (blue)")
+    _legend(axes)
+    tilt = axes.twinx()
+    tilt.plot(trace.time[held], found.grasps.tilt[held, episode], color="#0072b2", lw=0.9)
+    tilt.set_ylabel("[rad]", color="#0072b2")
+    tilt.set_ylim(bottom=0)
+    tilt.tick_params(axis="y", colors="#0072b2")
+    tilt.spines["right"].set_visible(False)
+    tilt.grid(visible=False)
+
+
 def _residual(axes: Axes, found: Inspection, episode: int) -> None:
     trace = found.rollouts.trace
     held = trace.held[:, episode]
@@ -176,7 +196,7 @@ def _mark(rows: np.ndarray, found: Inspection, episode: int, drop: Drop | None) 
     trace, period = found.rollouts.trace, found.period
     held = trace.held[:, episode]
     for a, b in runs(held & ~found.sound[:, episode]):
-        for axes in rows[:3]:
+        for axes in rows[:4]:
             axes.axvspan(a * period, b * period, color=_BAD, alpha=0.5, lw=0, zorder=-5)
     notes = []
     if not held[-1]:

@@ -85,9 +85,11 @@ def learning_figure(log: TrainingLog) -> Figure:
     if log.has("critic_loss") and np.nanmin(log.columns["critic_loss"]) > 0:
         panels[2, 0].set_yscale("log")
     if log.has("bc_loss") and np.nanmax(np.abs(log.columns["bc_loss"])) > 0:
-        panels[2, 1].plot(steps, log.columns["bc_loss"], color="#d55e00", lw=1.0, ls="--",
-                          label="behaviour cloning loss")  # fmt: skip
-        panels[2, 1].legend(loc="best", fontsize=8)
+        cloning = panels[2, 1].twinx()
+        cloning.plot(steps, log.columns["bc_loss"], color="#d55e00", lw=1.0, ls="--")
+        cloning.set_ylabel("cloning loss (dashed)", color="#d55e00")
+        cloning.tick_params(axis="y", colors="#d55e00")
+        cloning.grid(visible=False)
     for axes in panels[2]:
         axes.set(xlabel=_label(log))
     figure.align_ylabels(panels[:, 0])
