@@ -9,8 +9,7 @@ import pytest
 
 from dexctl.exceptions import InvalidInput
 from dexctl.plant import Plant
-from dexctl.sim import BatchSimulator, Scene
-from hardware.as_real import AsReal
+from dexctl.sim import AsReal, BatchSimulator, Scene
 
 
 @pytest.fixture(scope="module")
