@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Figure, Settings, over_seeds, progress, settings, share, write
+from common import Figure, Settings, over_seeds, patient, progress, settings, share, write
 
 from dexctl import Controller, GraspState, controllers
 from dexctl.exceptions import MissingExtra
@@ -58,6 +58,8 @@ class GraspSettings(Settings):
     """In the simulator."""
     repeats: int = 3
     """Through the bus."""
+    patience: float = 1.0
+    """Allow so many times more silence and age than on a hand: on a busy machine."""
     picture: Path | None = None
     """Where the traces are drawn, such as docs/images/hardware-trace.png."""
 
@@ -248,7 +250,8 @@ def emulated(scene: Scene, name: str, given: GraspSettings, seed: int) -> dict[s
         Bus(emulator.port, range(1, 16), timeout=0.03) as bus,
     ):  # fmt: skip
         source = EmulatedTactile(emulator)
-        plant = ServoHand(bus, scene.hand, gains=GAINS, tactile=source, control_period=PERIOD)
+        plant = ServoHand(bus, scene.hand, limits=patient(given.patience), gains=GAINS,
+                          tactile=source, control_period=PERIOD)  # fmt: skip
         path = Path(folder) / "run.mcap"
         with LogWriter(path) as log:
             runner = Runner(plant, controller, log=log, seed=seed, extra=lambda: source.truth)

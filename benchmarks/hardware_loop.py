@@ -21,7 +21,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from common import Figure, Settings, in_turns, progress, settings, spread, write
+from common import Figure, Settings, in_turns, patient, progress, settings, spread, write
 
 import dexctl
 from dexctl import Controller
@@ -57,6 +57,8 @@ class LoopSettings(Settings):
     """Of each loop."""
     rate: float = 100.0
     """Of each loop [Hz]."""
+    patience: float = 1.0
+    """Allow so many times more silence and age than on a hand: on a busy machine."""
 
 
 def cycles(given: LoopSettings) -> tuple[dict[str, np.ndarray], dict[str, int]]:
@@ -64,7 +66,8 @@ def cycles(given: LoopSettings) -> tuple[dict[str, np.ndarray], dict[str, int]]:
     hand = dexctl.hands.load("dex5")
     # the cycles come one after the other, so a period of a cycle is what the speed limit reckons by
     with Emulator() as emulator, Bus(emulator.port, IDS, timeout=0.1) as bus:
-        plant = ServoHand(bus, hand, gains=GAINS, control_period=0.001)
+        limits = patient(given.patience)
+        plant = ServoHand(bus, hand, limits=limits, gains=GAINS, control_period=0.001)
         plant.arm()
         start = plant.q_target.copy()
 
@@ -110,8 +113,8 @@ def loop(
         Bus(emulator.port, IDS, timeout=0.03) as bus,
     ):
         source = EmulatedTactile(emulator) if held else None
-        plant = ServoHand(bus, controller.hand, gains=GAINS, tactile=source,
-                          control_period=controller.control_period)  # fmt: skip
+        plant = ServoHand(bus, controller.hand, limits=patient(given.patience), gains=GAINS,
+                          tactile=source, control_period=controller.control_period)  # fmt: skip
         path = Path(folder) / "run.mcap"
         with LogWriter(path) as log:
             runner = Runner(plant, controller, needs_tactile=held, log=log, seed=given.seed)

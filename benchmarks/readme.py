@@ -24,6 +24,8 @@ ORDER = {
     "simulator": "open",
     "in_grasp": "open",
     "gaits": "open",
+    "hardware_grasp": "open",
+    "hardware_loop": "folded",
     "bus": "folded",
     "allegro": "folded",
     "ablation": "folded",
