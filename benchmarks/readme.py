@@ -25,6 +25,8 @@ ORDER = {
     "in_grasp": "open",
     "gaits": "open",
     "learner": "open",
+    "hardware_grasp": "open",
+    "hardware_loop": "folded",
     "bus": "folded",
     "allegro": "folded",
     "ablation": "folded",

@@ -121,8 +121,8 @@ _ROWS: tuple[tuple[tuple[State, ...], Event, Transition], ...] = (
         _LIVE,
         Event.ALERT,
         Transition(
-            State.FAULT,
-            Action.RELEASE,
+            State.HOLD,
+            Action.FREEZE_THEN_RELEASE,
             Torque.OFF,
             State.FAULT,
             "remove the cause, then: dexctl hardware check --reboot ID",

@@ -22,9 +22,10 @@ from dexctl.cli.trials import (
 from dexctl.exceptions import InvalidInput
 
 if TYPE_CHECKING:
+    from dexctl.plant import Plant
     from dexctl.report.film import Film
     from dexctl.report.summary import BatchSummary
-    from dexctl.sim import Scene, Trace
+    from dexctl.sim import BatchSimulator, Scene, Trace
 
 
 @dataclass(kw_only=True)
@@ -52,11 +53,36 @@ class Rotate(SceneOptions):
     """Record the first trial to rotate.mp4 (wants --out and an OpenGL)."""
     viewer: bool = False
     """Show the first trial in MuJoCo's viewer, in real time (wants a display)."""
+    as_real: bool = False
+    """Latency, speed and torque limits of the servo hand: 0.05 s, 0.6 rad/s, 0.5 N m."""
+    latency: float | None = None
+    """From a set-point to its effect [s], in whole control periods."""
+    speed_limit: float | None = None
+    """Fastest set-point [rad/s]."""
+    torque_limit: float | None = None
+    """Largest joint torque [N m]."""
+
+    @property
+    def limits(self) -> dict[str, Any]:
+        """What `dexctl.sim.AsReal` is given; {} for the bare simulator."""
+        from dexctl.sim.as_real import LATENCY, SPEED, TORQUE
+
+        given = {"latency": self.latency, "speed": self.speed_limit, "torque": self.torque_limit}
+        if not self.as_real:
+            nothing = all(value is None for value in given.values())
+            return {} if nothing else {**given, "latency": self.latency or 0.0}
+        usual = {"latency": LATENCY, "speed": SPEED, "torque": TORQUE}
+        return {name: usual[name] if given[name] is None else given[name] for name in usual}
 
     def run(self) -> int:
         check_seconds(self.seconds, CONTROL_PERIOD)
         check_count("--num-envs", self.num_envs)
         controllers.entry(self.controller)
+        for name in ("latency", "speed_limit", "torque_limit"):
+            value, least = getattr(self, name), 0.0 if name == "latency" else 1e-6
+            if value is not None and not least <= value <= 10:
+                flag = f"--{name.replace('_', '-')}"
+                raise InvalidInput(f"{flag} is {value}; expected a number above 0, up to 10")
         if self.video and self.out is None:
             raise InvalidInput("--video is given without --out; expected a folder for rotate.mp4")
         if self.out is not None:
@@ -81,8 +107,9 @@ class Rotate(SceneOptions):
         return 0
 
     def _simulate(self, scene: Scene, film: Film) -> Trace:
-        from dexctl.sim import BatchSimulator
+        from dexctl.sim import AsReal, BatchSimulator
 
+        limits = self.limits
         controller = make_controller(self.controller, scene)
         console = notes()
         with ExitStack() as stack:
@@ -96,6 +123,9 @@ class Rotate(SceneOptions):
             sim = stack.enter_context(BatchSimulator(scene, self.num_envs, CONTROL_PERIOD))
             self.set_friction(sim)
 
+            def behind(sim: BatchSimulator) -> Plant | None:
+                return AsReal(sim, stiffness=scene.stiffness, **limits) if limits else None
+
             def look(now: Any) -> None:
                 for watcher in watch:
                     watcher(now)
@@ -107,6 +137,7 @@ class Rotate(SceneOptions):
                 sim,
                 self.seconds,
                 self.seed,
+                behind=behind,
                 record=look if watch else None,
                 progress=lambda now: bar.update(task, completed=now),
             )
@@ -120,6 +151,7 @@ class Rotate(SceneOptions):
             **self.describe(scene),
             "seconds": self.seconds,
             "control_period_s": CONTROL_PERIOD,
+            "limits": self.limits,
             "seeds": [self.seed, self.seed + self.num_envs - 1],
             **summary.as_dict(),
             "machine": machine(),
@@ -141,7 +173,12 @@ class Rotate(SceneOptions):
             self.controller,
             trace,
             summary,
-            setting={**self.describe(scene), "seconds": self.seconds, "seed": self.seed},
+            setting={
+                **self.describe(scene),
+                **{f"limit_{name}": value for name, value in self.limits.items()},
+                "seconds": self.seconds,
+                "seed": self.seed,
+            },
             control_period=CONTROL_PERIOD,
             command=self.command_line("rotate"),
             machine=found["machine"],

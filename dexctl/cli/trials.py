@@ -15,6 +15,7 @@ from dexctl.exceptions import InvalidInput, MissingExtra, SimulationError, Unkno
 
 if TYPE_CHECKING:
     from dexctl.controller import Controller
+    from dexctl.plant import Plant
     from dexctl.sim import BatchSimulator, Scene, Trace
 
 CONTROL_PERIOD = 0.05  # [s], 10 physics steps
@@ -142,10 +143,13 @@ def run_trials(
     seconds: float,
     seed: int,
     *,
+    behind: Callable[[BatchSimulator], Plant | None] | None = None,
     record: Callable[[Any], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Trace:
     """The standard protocol: the settled grasp, disturbed; environment i has the seed seed + i.
+
+    ``behind`` makes what the controller sees of the simulator, once that is reset.
 
     Raises:
         SimulationError: the run failed; the arguments were checked before it.
@@ -155,6 +159,7 @@ def run_trials(
     sim.reset(seed)
     controller.reset(seed)
     try:
-        return run(controller, sim, seconds, record=record, progress=progress)
+        plant = None if behind is None else behind(sim)
+        return run(controller, sim, seconds, plant=plant, record=record, progress=progress)
     except InvalidInput as error:  # not the user's input any more
         raise SimulationError(f"the run failed: {error}") from error

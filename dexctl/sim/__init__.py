@@ -3,6 +3,7 @@
 Importing this package loads MuJoCo; `import dexctl` does not.
 """
 
+from dexctl.sim.as_real import AsReal
 from dexctl.sim.engine import VERSION as MUJOCO_VERSION
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.objects import object_names
@@ -15,6 +16,7 @@ from dexctl.sim.viewer import Viewer
 
 __all__ = [
     "MUJOCO_VERSION",
+    "AsReal",
     "BatchSimulator",
     "GroupedSimulator",
     "Recorder",

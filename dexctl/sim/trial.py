@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
+from dexctl.plant import Plant
 from dexctl.rotations import inverse, multiply
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.simulator import BatchSimulator
@@ -87,6 +88,7 @@ def run(
     sim: Simulator,
     seconds: float,
     *,
+    plant: Plant | None = None,
     record: Callable[[Any], None] | None = None,
     drop_distance: float = DROP_DISTANCE,
     progress: Callable[[float], None] | None = None,
@@ -99,6 +101,8 @@ def run(
         controller: of the simulator's hand.
         sim: a `BatchSimulator` or a `GroupedSimulator`.
         seconds: of simulated time, rounded to control periods [s].
+        plant: what the controller is to see of ``sim``, such as an `AsReal` in front of it;
+            default ``sim`` itself. The object's pose in the trace is always that of ``sim``.
         record: called with the simulator at the start and after each step (a `Recorder`).
         drop_distance: how far the object's centre may go from where it is at the start [m].
         progress: called after each step with the simulated time so far [s].
@@ -116,7 +120,9 @@ def run(
         raise InvalidInput(
             f"seconds is {seconds}; expected at least one control period, {sim.control_period} s"
         )
-    states: list[GraspState] = [sim.read()]
+    seen = sim if plant is None else plant
+    states: list[GraspState] = [seen.read()]
+    truth = states if plant is None else [sim.read()]
     other, diverged = [sim.other_contact], [sim.diverged]
     found: list[dict[str, np.ndarray]] = []
     act_seconds = np.zeros(steps)
@@ -127,30 +133,33 @@ def run(
         start = perf_counter()
         change = controller.act(state)
         act_seconds[i] = perf_counter() - start
-        sim.write(state.q_target + change)
-        sim.step()
+        seen.write(state.q_target + change)
+        seen.step()
         found.append(_numbers(controller.diagnostics, sim.batch_shape))
-        states.append(sim.read())
+        states.append(seen.read())
+        if plant is not None:
+            truth.append(sim.read())
         other.append(sim.other_contact)
         diverged.append(sim.diverged)
         if record is not None:
             record(sim)
         if progress is not None:
             progress((i + 1) * sim.control_period)
-    return _trace(sim, states, other, diverged, found, act_seconds, drop_distance)
+    return _trace(sim, states, truth, other, diverged, found, act_seconds, drop_distance)
 
 
 def _trace(
     sim: Simulator,
     states: list[GraspState],
+    truth: list[GraspState],
     other: list[Floats],
     diverged: list[Bools],
     found: list[dict[str, np.ndarray]],
     act_seconds: Floats,
     drop_distance: float,
 ) -> Trace:
-    position = np.array([state.object_position for state in states])
-    quaternion = np.array([state.object_quaternion for state in states])
+    position = np.array([state.object_position for state in truth])
+    quaternion = np.array([state.object_quaternion for state in truth])
     away = np.linalg.norm(position - position[0], axis=-1)
     broken = np.array(diverged)
     held = np.logical_and.accumulate((away <= drop_distance) & ~broken, axis=0)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dexctl.cli.output import notes, print_json, results
+from dexctl.cli.output import notes, print_json, results, to_json
+from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput
+from dexctl.report.files import write_text
 from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus
@@ -17,7 +20,7 @@ from hardware.cli.options import HandOptions
 from hardware.exceptions import ServoError
 from hardware.hand import ServoHand
 from hardware.machine import Torque
-from hardware.registers import MODEL_NUMBER, OperatingMode, describe_hardware_error
+from hardware.registers import MODEL_NUMBER, describe_hardware_error
 from hardware.ticker import Interrupts, spread
 
 _CYCLES = 200
@@ -38,6 +41,8 @@ class Check(HandOptions):
     """Move each joint by 0.12 rad and back, so that a wrong joint map shows."""
     reboot: int | None = None
     """Restart this servo first: clears a hardware error once its cause is gone."""
+    out: Path | None = None
+    """Folder for check.json."""
     json: bool = False
     """Print one JSON object instead of the table."""
 
@@ -45,6 +50,7 @@ class Check(HandOptions):
         self.check()
         if self.reboot is not None and not 0 <= self.reboot <= 252:
             raise InvalidInput(f"--reboot is {self.reboot}; expected an ID from 0 to 252")
+        folder = None if self.out is None else make_folder(self.out)
         with self.open(self.limits(), 0.02) as session:
             look = _Look(session.hand)
             if self.reboot is not None:
@@ -56,6 +62,8 @@ class Check(HandOptions):
                 look.at_latency(session.bus)
                 if self.move and not look.problems:
                     look.at_motion()
+        if folder is not None:
+            write_text(folder / "check.json", to_json(look.as_dict()) + "\n")
         if self.json:
             print_json(look.as_dict())
         else:
@@ -128,9 +136,21 @@ class _Look:
         except (ServoError, InvalidInput) as error:
             self.problems.append(str(error))
             return
-        mode = int(OperatingMode.CURRENT_BASED_POSITION)
-        for row, q in zip(self.rows, sample.q.tolist(), strict=True):
-            row |= {"position_rad": q, "mode": mode, "torque_limit_nm": self.hand.limits.torque}
+        bus, ids = self.hand.bus, self.hand.calibration.servo.tolist()
+        read = {
+            "mode": registers.OPERATING_MODE,
+            "current_limit_a": registers.CURRENT_LIMIT,
+            "temperature_limit_c": registers.TEMPERATURE_LIMIT,
+            "least_voltage_v": registers.MIN_VOLTAGE_LIMIT,
+            "most_voltage_v": registers.MAX_VOLTAGE_LIMIT,
+            "return_delay_s": registers.RETURN_DELAY,
+        }
+        columns = {name: bus.read(register, ids).value for name, register in read.items()}
+        constant = self.hand.calibration.torque_constant
+        for i, row in enumerate(self.rows):
+            row["position_rad"] = float(sample.q[i])
+            row |= {name: float(values[i]) for name, values in columns.items()}
+            row["torque_limit_nm"] = row["current_limit_a"] * float(constant[i])
 
     def at_latency(self, bus: Bus) -> None:
         """Time of reading currents, velocities and positions of all servos and writing goals."""
@@ -220,6 +240,8 @@ class _Look:
         """For JSON."""
         return {
             "command": "check",
+            "port": self.hand.bus.port,
+            "latency_timer_s": self.hand.bus.latency_timer,
             "servos": self.rows,
             "cycle_s": self.latency,
             "fast_sync_read": self.fast,
@@ -233,9 +255,26 @@ class _Look:
         from rich.table import Table
 
         console = results()
+        timer = self.hand.bus.latency_timer
+        known = "" if timer is None else f", latency timer {1e3 * timer:.0f} ms"
+        console.print(f"port {self.hand.bus.port}{known}", soft_wrap=True)
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        for heading in ("servo", "joint", "model", "firmware", "V", "C", "rad", "error"):
-            table.add_column(heading, justify="left" if heading in ("joint", "error") else "right")
+        headings = (
+            "servo",
+            "joint",
+            "model",
+            "fw",
+            "V",
+            "C",
+            "rad",
+            "mode",
+            "N m",
+            "C max",
+            "error",
+        )
+        for heading in headings:
+            side = "left" if heading in ("joint", "error") else "right"
+            table.add_column(heading, justify=side, no_wrap=heading != "error")
         for row in self.rows:
             table.add_row(
                 str(row["servo"]),
@@ -245,6 +284,9 @@ class _Look:
                 f"{row['voltage_v']:.1f}" if "voltage_v" in row else "",
                 f"{row['temperature_c']:.0f}" if "temperature_c" in row else "",
                 f"{row['position_rad']:.3f}" if "position_rad" in row else "",
+                f"{row['mode']:.0f}" if "mode" in row else "",
+                f"{row['torque_limit_nm']:.2f}" if "mode" in row else "",
+                f"{row['temperature_limit_c']:.0f}" if "mode" in row else "",
                 row.get("error", ""),
             )
         console.print(table)

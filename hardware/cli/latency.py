@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from dexctl.cli.output import notes, print_json, results
+from dexctl.cli.output import notes, print_json, results, to_json
+from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.report.files import write_text
 from dexctl.state import Floats
 from hardware.cli.options import HandOptions
 from hardware.machine import State
@@ -30,6 +33,8 @@ class Latency(HandOptions):
     """Which joint moves, by 0.09 rad; default the first."""
     rate: float = 100.0
     """Control rate [Hz]."""
+    out: Path | None = None
+    """Folder for latency.json, with every sample of set-point and joint."""
     json: bool = False
     """Print one JSON object instead of the summary."""
 
@@ -42,6 +47,7 @@ class Latency(HandOptions):
         if self.joint is not None and self.joint not in names:
             raise UnknownName("joint", self.joint, names)
         joint = 0 if self.joint is None else names.index(self.joint)
+        folder = None if self.out is None else make_folder(self.out)
         period = 1.0 / self.rate
         motion = StepAndChirp(model, joint, control_period=period)
         samples: list[tuple[float, float, float]] = []
@@ -64,18 +70,20 @@ class Latency(HandOptions):
             notes().print(f"no measurement: {why}; {found.torque_message}")
             return 1
         step, chirp = delays(np.array(samples), motion.STEP_SECONDS, period)
+        said = {
+            "command": "latency",
+            "joint": names[joint],
+            "rate_hz": self.rate,
+            "step_delay_s": step,
+            "chirp_delay_s": chirp,
+            "figures_s": found.figures,
+            "torque": found.torque_message,
+        }
+        if folder is not None:
+            rows = {"columns": ["time_s", "q_target_rad", "q_rad"], "samples": samples}
+            write_text(folder / "latency.json", to_json(said | rows) + "\n")
         if self.json:
-            print_json(
-                {
-                    "command": "latency",
-                    "joint": names[joint],
-                    "rate_hz": self.rate,
-                    "step_delay_s": step,
-                    "chirp_delay_s": chirp,
-                    "figures_s": found.figures,
-                    "torque": found.torque_message,
-                }
-            )
+            print_json(said)
         else:
             results().print(
                 f"{names[joint]}: step {1e3 * step:.0f} ms until it moves, chirp "

@@ -101,6 +101,9 @@ class Report:
 
     def run(self) -> int:
         log = read_log(self.log)
+        if not log.messages:
+            cut = ", cut off before the first of them" if log.cut else ""
+            raise InvalidInput(f"{self.log} holds no messages of a run{cut}")
         path = self.out if self.out is not None else self.log.parent / "report.html"
         make_folder(path.parent)
         report.write(log, path)

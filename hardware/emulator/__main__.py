@@ -6,7 +6,9 @@ hand: Ctrl-D ends it.
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import os
 import signal
 import sys
 from dataclasses import dataclass
@@ -20,6 +22,8 @@ from dexctl.exceptions import DexctlError, InvalidInput
 from hardware.emulator.chain import Chain
 from hardware.emulator.dynamics import FirstOrderJoints, Joints
 from hardware.emulator.server import Server, say
+
+_PRIORITY = 40  # below the runner's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +48,8 @@ class Settings:
     """What it holds; "none" for nothing."""
     gravity: Literal["up", "down"] = "up"
     """Which way the palm looks."""
+    latency: float = 0.0
+    """From a goal's arrival to its effect [s]."""
     seed: int = 0
     """Of random faults and of the simulated touch."""
     manual: bool = False
@@ -81,7 +87,16 @@ def _check(settings: Settings, count: int) -> None:
 def _chain(settings: Settings) -> Chain:
     joints = _joints(settings)
     _check(settings, len(joints.q))
+    joints.set_latency(settings.latency)
     return Chain(joints, settings.ids, settings.zeros, settings.signs, not settings.no_fast)
+
+
+def _keep_time() -> None:
+    """Go before the machine's other work where that is permitted, as real servos do."""
+    if hasattr(os, "SCHED_FIFO"):
+        with contextlib.suppress(OSError):
+            policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(0, policy, os.sched_param(_PRIORITY))
 
 
 def main() -> int:
@@ -95,6 +110,8 @@ def main() -> int:
         return 2
     gc.collect()
     gc.freeze()
+    if not settings.manual:
+        _keep_time()
     say({"port": server.port, "servos": len(server.chain.servos)})
     server.serve()
     return 0

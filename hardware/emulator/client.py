@@ -34,6 +34,7 @@ class Emulator:
         start: where first-order joints start [rad].
         dynamics: "first-order", or "mujoco" for a simulated hand.
         hand, object, gravity: of the simulated hand; object "none" leaves it empty.
+        latency: from a goal's arrival to its effect [s].
         seed: of random faults.
         manual: time passes only by :meth:`advance`, so that a busy machine changes nothing.
         fast: whether the servos know fast reads.
@@ -58,6 +59,7 @@ class Emulator:
         hand: str = "dex5",
         object: str = "cylinder",  # noqa: A002 (the field's name for it)
         gravity: str = "up",
+        latency: float = 0.0,
         seed: int = 0,
         manual: bool = False,
         fast: bool = True,
@@ -68,7 +70,7 @@ class Emulator:
             if values is not None:
                 command += [f"--{name}", *(repr(value) for value in values)]
         command += ["--dynamics", dynamics, "--hand", hand, "--object", object]
-        command += ["--gravity", gravity, "--seed", str(seed)]
+        command += ["--gravity", gravity, "--latency", repr(float(latency)), "--seed", str(seed)]
         command += ["--manual"] * manual + ["--no-fast"] * (not fast)
         self._lock = threading.Lock()
         self._line = b""
@@ -185,6 +187,10 @@ class Emulator:
         It is held from the start until every finger has pressed on it with 1 N for 0.3 s.
         """
         self.ask("support", supported=supported)
+
+    def turn(self, q: Sequence[float]) -> None:
+        """Turn the limp shafts of first-order joints by hand, to ``(n,)`` [rad]."""
+        self.ask("turn", q=[float(angle) for angle in q])
 
     def touch(self) -> dict[str, Any] | None:
         """What the simulated fingertips feel, or None with first-order joints.

@@ -10,6 +10,7 @@ millisecond (`hardware.units` states the same assumption and converts by it).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ NO_LOAD_SPEED = 8.06  # rad/s, 77 rpm at 12 V (manual)
 STALL_TORQUE = 3.0  # N m at 12 V (manual)
 P_DIVISOR, D_DIVISOR = 128, 16  # register to gain (manual)
 UNLIMITED = 1e9
+LONGEST_LATENCY = 1.0  # s
 
 
 @dataclass
@@ -97,6 +99,7 @@ class Joints(ABC):
         reference: where the profile has got to, ``(n,)`` [rad].
         reference_speed: how fast it moves, ``(n,)`` [rad/s].
         timestep: [s].
+        latency: from a goal's arrival to its effect [s], in whole timesteps; 0 until set.
     """
 
     def __init__(self, q: Floats, timestep: float) -> None:
@@ -108,6 +111,8 @@ class Joints(ABC):
         self.reference = self.q.copy()
         self.reference_speed = np.zeros(count)
         self.timestep = timestep
+        self.latency = 0.0
+        self._late = np.zeros((0, count))  # goals on their way, the oldest first
         self._owed = 0.0
 
     def advance(self, seconds: float) -> bool:
@@ -119,6 +124,29 @@ class Joints(ABC):
             self._move_reference(self.timestep)
             self._step(self.timestep)
         return steps > 0
+
+    def set_latency(self, seconds: float) -> None:
+        """Let goals take effect so much later [s], rounded to timesteps.
+
+        Raises:
+            InvalidInput: not between 0 and `LONGEST_LATENCY`.
+        """
+        if not 0 <= seconds <= LONGEST_LATENCY:
+            raise InvalidInput(f"latency is {seconds}; expected 0 to {LONGEST_LATENCY:g} s")
+        periods = round(seconds / self.timestep)
+        self.latency = periods * self.timestep
+        self._late = np.repeat(self.commands.goal[None], periods, axis=0)
+
+    def _goal(self) -> Floats:
+        """The goals that have taken effect, ``(n,)`` [rad]; call it once a timestep."""
+        goal, late = self.commands.goal, self._late
+        if not len(late):
+            return goal
+        free = ~self.commands.torque_on
+        late[:, free] = goal[free]  # what was asked of a limp servo must not move it later
+        due = late[0].copy()
+        late[:-1], late[-1] = late[1:].copy(), goal
+        return due
 
     def touch(self) -> dict[str, object] | None:
         """What the fingertips feel, if there are any."""
@@ -132,9 +160,17 @@ class Joints(ABC):
         """
         raise InvalidInput("support: first-order joints hold no object")
 
+    def turn(self, q: Sequence[float]) -> None:
+        """Turn limp shafts by hand, to ``(n,)`` [rad].
+
+        Raises:
+            InvalidInput: they cannot be turned.
+        """
+        raise InvalidInput("turn: only first-order joints can be turned by hand")
+
     def _move_reference(self, h: float) -> None:
         c = self.commands
-        away = c.goal - self.reference
+        away = self._goal() - self.reference
         distance = np.abs(away)
         speed = np.minimum(c.speed, np.abs(self.reference_speed) + c.acceleration * h)
         speed = np.minimum(speed, np.sqrt(2 * c.acceleration * distance))
@@ -170,6 +206,14 @@ class FirstOrderJoints(Joints):
         super().__init__(q, timestep)
         self.viscosity = viscosity
         self.blocked = np.zeros(len(self.q), bool)
+
+    def turn(self, q: Sequence[float]) -> None:
+        angles = np.asarray(q, float)
+        if angles.shape != self.q.shape or not np.isfinite(angles).all():
+            raise InvalidInput(f"turn: {len(angles)} angles; expected {len(self.q)}, all finite")
+        if self.commands.torque_on.any():
+            raise InvalidInput("turn: the torque is on")
+        self.q[:] = self.reference[:] = angles
 
     def _step(self, h: float) -> None:
         c, b = self.commands, self.viscosity

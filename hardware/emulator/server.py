@@ -60,6 +60,7 @@ class Server:
             "state": lambda: self.chain.state(),
             "support": lambda supported: self.chain.joints.support(supported),
             "touch": lambda: self.chain.joints.touch(),
+            "turn": lambda q: self.chain.joints.turn(q),
             "reset": self._reset,
             "unplug": self._unplug,
             "replug": self._plug,

@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "benchmarks"
+PATIENT = ["--patience", "10"]
 SHORT = ["--trials", "2", "--seconds", "0.5"]
 RUNS: dict[str, list[str]] = {
     "igm_latency.py": ["--count", "10", "--rounds", "2"],
@@ -25,6 +26,8 @@ RUNS: dict[str, list[str]] = {
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
     ],
     "bus.py": ["--cycles", "20", "--rounds", "2"],
+    "hardware_loop.py": ["--cycles", "20", "--rounds", "2", "--seconds", "0.5", *PATIENT],
+    "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
 }
 
@@ -50,7 +53,7 @@ def test_every_script_is_run_here() -> None:
 @pytest.mark.parametrize("script", RUNS)
 def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     arguments = [*RUNS[script], "--out", tmp_path]
-    if script == "bus.py":
+    if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     if script == "learner.py":
         pytest.importorskip("stable_baselines3", reason="needs the extra 'learning'")

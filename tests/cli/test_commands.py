@@ -147,6 +147,8 @@ def test_check_grasp_fails_where_the_grasp_does() -> None:
         ("rotate --colour red", "Unrecognized options: --colour"),
         ("rotate --object-size 0", "object_size is 0.0"),
         ("rotate --friction nan", "friction is nan"),
+        ("rotate --latency -1", "--latency is -1.0; expected a number above 0, up to 10"),
+        ("rotate --speed-limit nan", "--speed-limit is nan"),
         ("rotate --video", "--video is given without --out"),
         ("check-grasp --num-envs 0", "--num-envs is 0"),
         ("check-grasp --object mesh", "a mesh file goes with object 'mesh' only"),

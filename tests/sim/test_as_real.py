@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+import dexctl
+import dexctl.controllers
 from dexctl.exceptions import InvalidInput
 from dexctl.plant import Plant
-from dexctl.sim import BatchSimulator, Scene
-from hardware.as_real import AsReal
+from dexctl.sim import AsReal, BatchSimulator, Scene, run
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +42,37 @@ def test_set_points_come_slowly_and_late(sim: BatchSimulator) -> None:
         real.step()
         applied = sim.read().q_target[:, 0] - start[:, 0]
         assert applied == pytest.approx(0.03 * max(k - 2, 0))
+
+
+def test_latency_between_control_periods_mixes_the_set_points_about_it(sim: BatchSimulator) -> None:
+    """0.075 s are one and a half periods: a ramp comes by just that much later."""
+    real = AsReal(sim, latency=0.075)
+    assert real.latency == 0.075
+    start = sim.read().q_target
+    for k in range(1, 6):
+        wanted = start.copy()
+        wanted[:, 0] += 0.5  # 0.03 rad a step is what the speed limit leaves
+        real.write(wanted)
+        real.step()
+        applied = sim.read().q_target[:, 0] - start[:, 0]
+        assert applied == pytest.approx(0.03 * (k - 1.5) if k > 1 else 0.0)
+
+
+def test_limits_may_be_left_out(sim: BatchSimulator, scene: Scene) -> None:
+    real = AsReal(sim, speed=None, torque=None, latency=0.0, stiffness=scene.stiffness)
+    state = sim.read()
+    assert real.write(state.q_target - 0.3) == pytest.approx(scene.hand.clip(state.q_target - 0.3))
+
+
+def test_a_trial_of_a_controller_that_sees_the_limits(sim: BatchSimulator) -> None:
+    controller = dexctl.controllers.make("igm", sim.hand)
+    sim.reset(0)
+    controller.reset(0)
+    trace = run(controller, sim, 1.0, plant=AsReal(sim, speed=0.1))
+    speed = np.abs(np.diff(trace.q_target, axis=0)) / sim.control_period
+    assert speed.max() == pytest.approx(0.1)  # it asks for 0.15 rad/s here
+    assert trace.held.all()
+    assert (trace.rotation[-1] > 0.1).all()
 
 
 def test_torque_bounds_the_lead(sim: BatchSimulator, scene: Scene) -> None:

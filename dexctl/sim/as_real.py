@@ -1,8 +1,8 @@
 """AsReal: a simulated hand with the latency, speed and torque limits of the servo hand.
 
-What a controller does in the bare simulator and on the servos can only be compared when both see
-the same limits. The defaults are those of the hand in the thesis (chapter 5, "Hardware"): 0.6
-rad/s, 0.5 N m, 0.05 s.
+What a controller does in the simulator and on the servos can only be compared when both see the
+same limits. The defaults are those of the hand in the thesis (chapter 5, "Hardware"): 0.6 rad/s,
+0.5 N m, 0.05 s.
 """
 
 from __future__ import annotations
@@ -23,40 +23,43 @@ SPEED, TORQUE, LATENCY = 0.6, 0.5, 0.05
 class AsReal:
     """A plant in front of another one that makes its set-points late, slow and weak.
 
+    Reset the other one first, then call `restart`.
+
     Args:
         plant: the simulated hand, or hands.
-        speed: fastest set-point [rad/s].
-        latency: from a write to its effect [s], rounded to whole control periods.
+        speed: fastest set-point [rad/s]; None is no limit.
+        latency: from a write to its effect [s]; between whole control periods the two set-points
+            about it are mixed, which delays a steady motion by just that much.
         torque: largest joint torque [N m]; it bounds how far set-points may lead the joints, which
-            is exact for joints at rest.
+            is exact for joints at rest. None is no limit but the plant's own.
         stiffness: of the joints' servos, ``(d,)`` or one number [N m/rad] (`Scene.stiffness`);
             None leaves the torque to the plant's own limit.
 
     Attributes:
         hand, control_period: of the plant.
-        latency: what it is after rounding [s].
+        latency: as given [s].
     """
 
     def __init__(
         self,
         plant: Plant,
         *,
-        speed: float = SPEED,
+        speed: float | None = SPEED,
         latency: float = LATENCY,
-        torque: float = TORQUE,
+        torque: float | None = TORQUE,
         stiffness: ArrayLike | None = None,
     ) -> None:
         for name, value, unit in (("speed", speed, "rad/s"), ("torque", torque, "N m")):
-            if not (np.isfinite(value) and value > 0):
+            if value is not None and not (np.isfinite(value) and value > 0):
                 raise InvalidInput(f"{name} is {value}; expected {unit} above 0")
         if not (np.isfinite(latency) and 0 <= latency <= 10):
             raise InvalidInput(f"latency is {latency}; expected 0 to 10 s")
         self.hand = plant.hand
         self.control_period = plant.control_period
-        periods = round(latency / plant.control_period)
-        self.latency = periods * plant.control_period
+        self.latency = latency
+        self._periods, self._part = divmod(latency / plant.control_period + 1e-9, 1.0)
         self._plant = plant
-        self._step = speed * plant.control_period
+        self._step = np.inf if speed is None else speed * plant.control_period
         self._lead: Floats | None = None
         if stiffness is not None:
             stiff = np.asarray(stiffness, float)
@@ -66,14 +69,14 @@ class AsReal:
                 raise InvalidInput(
                     f"stiffness is {stiffness}; expected N m/rad above 0, one or ({plant.hand.nq},)"
                 )
-            self._lead = np.broadcast_to(torque / stiff, (plant.hand.nq,))
-        self._periods = periods
+            if torque is not None:
+                self._lead = np.broadcast_to(torque / stiff, (plant.hand.nq,))
         self.restart()
 
     def restart(self) -> None:
         """Forget what is on its way; call it after the plant was reset."""
         self._sent = self._before = self._plant.read().q_target.copy()
-        self._on_its_way = deque([self._sent] * self._periods)
+        self._on_its_way = deque([self._sent] * (int(self._periods) + 1))
 
     def read(self) -> GraspState:
         """The plant's state; ``q_target`` is what was sent last, though it may be on its way."""
@@ -100,6 +103,8 @@ class AsReal:
     def step(self) -> None:
         """Let one control period pass: what was written ``latency`` ago takes effect."""
         self._on_its_way.append(self._sent)
-        self._plant.write(self._on_its_way.popleft())
+        late, part = self._on_its_way.popleft(), self._part
+        due = self._on_its_way[0]
+        self._plant.write(due if part < 1e-6 else (1.0 - part) * due + part * late)
         self._before = self._sent
         self._plant.step()
