@@ -146,7 +146,7 @@ def roll_out(
         time_held=trace.time_held,
         dropped=trace.dropped,
         diverged=trace.diverged[-1],
-        returns=returns_of(trace, scene, period),
+        returns=returns_of(trace, scene, period, np.array(protocol.direction)),
     )
     found = {name: trace.diagnostics[f"shadow:{name}"] for name in names}
     valued = None

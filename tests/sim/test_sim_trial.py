@@ -92,8 +92,9 @@ def test_what_does_not_fit() -> None:
 
 
 def test_rotation_about_another_axis() -> None:
-    half = 0.25 * np.arange(30)
-    turning = np.stack([np.cos(half), np.sin(half), 0 * half, 0 * half], axis=-1)
+    half = np.linspace(0.0, 7.25, 30)
+    turning = np.zeros((30, 4))
+    turning[:, 0], turning[:, 1] = np.cos(half), np.sin(half)
     np.testing.assert_allclose(rotation_about(turning, (1.0, 0.0, 0.0)), 2 * half, atol=1e-9)
     np.testing.assert_allclose(rotation_about(turning, (-1.0, 0.0, 0.0)), -2 * half, atol=1e-9)
     np.testing.assert_allclose(rotation_about(turning[:10]), 0.0, atol=1e-12)
