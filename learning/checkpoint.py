@@ -112,6 +112,7 @@ def capture(agent: GuidedExploration) -> dict[str, Any]:
     env = agent.env
     assert isinstance(env, StableBaselinesVecEnv)
     assert agent.replay_buffer is not None
+    averaged = agent.averaged_actor
     return {
         "algorithm": type(agent).__name__,
         "policy": agent.policy.state_dict(),
@@ -119,6 +120,7 @@ def capture(agent: GuidedExploration) -> dict[str, Any]:
             "actor": agent.actor.optimizer.state_dict(),
             "critic": agent.critic.optimizer.state_dict(),
         },
+        "averaged_actor": averaged and averaged.state_dict(),
         "replay_buffer": agent.replay_buffer.state_dict(),
         "guide": None if agent.guide is None else agent.guide.state_dict(),
         "env": env.env.save(),
@@ -149,6 +151,9 @@ def restore(agent: GuidedExploration, content: dict[str, Any]) -> None:
         )
     try:
         agent.policy.load_state_dict(content["policy"])
+        if agent.averaged_actor is not None:  # a run may begin to average when it is resumed
+            averaged = content.get("averaged_actor") or agent.actor.state_dict()
+            agent.averaged_actor.load_state_dict(averaged)
         agent.actor.optimizer.load_state_dict(content["optimizers"]["actor"])
         agent.critic.optimizer.load_state_dict(content["optimizers"]["critic"])
         agent.replay_buffer.load_state_dict(content["replay_buffer"])

@@ -82,6 +82,13 @@ class Train:
     """Updates for each step of all environments together."""
     learning_rate: float | None = None
     """Of actor and critics; by default the recipe's."""
+    learning_rate_end: float | None = None
+    """What the learning rate falls to; by default the recipe's: it stays, in the thesis."""
+    decay_start: float = 0.5
+    """Share of the steps from which on it falls."""
+    policy_average: float | None = None
+    """How much less each update counts than the next in the policy that is kept, a mean of the
+    actor's weights; by default the recipe's: 0, the last weights, in the thesis."""
     tau: float | None = None
     """How far the target critics follow at each update; by default the recipe's."""
     n_step: int | None = None
@@ -180,6 +187,8 @@ class Train:
         training = dict(chosen.training) | _given(
             steps=self.steps,
             learning_rate=self.learning_rate,
+            learning_rate_end=self.learning_rate_end,
+            policy_average=self.policy_average,
             tau=self.tau,
             n_step=self.n_step,
             layer_norm=self.layer_norm or None,
@@ -206,6 +215,7 @@ class Train:
             seed=self.seed,
             num_envs=self.num_envs,
             gamma=self.gamma,
+            decay_start=self.decay_start,
             batch_size=self.batch_size,
             gradient_steps=self.gradient_steps,
             network=self.network,

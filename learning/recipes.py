@@ -46,6 +46,8 @@ RECIPES: Mapping[str, Recipe] = {
             "layer_norm": True,
             "n_step": 5,
             "learning_rate": 1e-3,
+            "learning_rate_end": 1e-4,
+            "policy_average": 0.999,
             "tau": 0.02,
         },
     ),

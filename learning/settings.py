@@ -36,6 +36,10 @@ class TrainConfig:
         batch_size: transitions of an update.
         gradient_steps: updates for each step of all environments together.
         learning_rate: of actor and critics.
+        learning_rate_end, decay_start: what it falls to, linearly, from this share of the steps
+            on; None: it stays.
+        policy_average: the policy that is kept is the mean of the actor's weights, each update
+            counting this much less than the next; 0: the last ones.
         network: hidden layers of actor and critics.
         tau: how far the target critics go towards the critics at each update.
         buffer_size: transitions that the replay buffer holds; one takes about 0.6 kB.
@@ -66,6 +70,9 @@ class TrainConfig:
     batch_size: int = 512
     gradient_steps: int = 2
     learning_rate: float = 3e-4
+    learning_rate_end: float | None = None
+    decay_start: float = 0.5
+    policy_average: float = 0.0
     network: tuple[int, ...] = (256, 256)
     tau: float = 0.005
     buffer_size: int = 500_000
@@ -99,8 +106,10 @@ class TrainConfig:
             self,
             positive=("learning_rate", "tau"),
             not_negative=("exploration_noise",),
-            fractions=("gamma", "tau"),
+            fractions=("gamma", "tau", "decay_start", "policy_average"),
         )
+        if self.learning_rate_end is not None:
+            check_numbers(self, not_negative=("learning_rate_end",))
         if self.policy_delay is not None:
             _whole("policy_delay", self.policy_delay, 1)
         if self.critic_parts:

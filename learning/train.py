@@ -129,7 +129,7 @@ def build(config: TrainConfig) -> Agent:
     options: dict[str, Any] = {
         "guide": guide,
         "overlap": config.overlap,
-        "learning_rate": config.learning_rate,
+        "learning_rate": _learning_rate(config),
         "buffer_size": config.buffer_size,
         "learning_starts": config.learning_starts,
         "batch_size": config.batch_size,
@@ -151,6 +151,7 @@ def build(config: TrainConfig) -> Agent:
             "layer_norm": config.layer_norm,
         },
         "policy_delay": config.policy_delay,
+        "average": config.policy_average,
         "seed": config.seed,
         "device": device,
     }
@@ -166,6 +167,18 @@ def actor_observation(config: TrainConfig, env: FingerGaitingVectorEnv) -> Obser
     """What the policy sees: the environment's observation but for the critics' own parts."""
     whole = env.observation.to_dict()
     return Observation.from_dict(env.hand, whole | {"parts": list(config.env.parts)})
+
+
+def _learning_rate(config: TrainConfig) -> float | Callable[[float], float]:
+    """The learning rate, or what it is when this share of the training is left."""
+    first, last, start = config.learning_rate, config.learning_rate_end, config.decay_start
+    if last is None or start >= 1:
+        return first
+
+    def rate(left: float) -> float:
+        return first + (last - first) * max(0.0, (1.0 - left - start) / (1.0 - start))
+
+    return rate
 
 
 def _device(name: str) -> str:
@@ -340,10 +353,8 @@ def export_policy(
 
 def policy_layers(agent: Agent) -> list[tuple[np.ndarray, np.ndarray]]:
     """The deterministic policy as (weight, bias) pairs; ReLU between them, tanh at the end."""
-    if isinstance(agent, GuidedSAC):
-        modules = [*agent.actor.latent_pi, agent.actor.mu]
-    else:
-        modules = list(agent.actor.mu)
+    actor = agent.averaged_actor or agent.actor
+    modules = [*actor.latent_pi, actor.mu] if isinstance(agent, GuidedSAC) else list(actor.mu)
     return [
         (m.weight.detach().cpu().numpy().copy(), m.bias.detach().cpu().numpy().copy())
         for m in modules

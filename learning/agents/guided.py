@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,9 @@ class GuidedExploration(OverlappedLoop):
         guide: who acts; None explores as stable-baselines3 does.
         exploration_noise: standard deviation of what is added to the policy's actions, in units
             of the action space [-1, 1].
+        average, averaged_actor: the mean of the actor's weights over its last updates, each
+            counting this much less than the next; None where it is 0. It never acts: from one
+            update to the next a policy may get better or worse, its mean less so.
         statistics: means over the last call of :meth:`train`, by name.
     """
 
@@ -34,10 +38,16 @@ class GuidedExploration(OverlappedLoop):
     actor: Any
     replay_buffer: GuidedReplayBuffer | None
 
-    def _begin(self, guide: Guide | None, exploration_noise: float, overlap: bool) -> None:
+    def _begin(
+        self, guide: Guide | None, exploration_noise: float, overlap: bool, average: float
+    ) -> None:
         self.guide = guide
         self.exploration_noise = exploration_noise
         self.overlap = overlap
+        self.average = average
+        self.averaged_actor = None
+        if average > 0:
+            self.averaged_actor = deepcopy(self.actor).requires_grad_(False)
         self.statistics: dict[str, float] = {}
         self._choice: Guided | None = None
 
@@ -140,7 +150,7 @@ class GuidedExploration(OverlappedLoop):
 
     def _excluded_save_params(self) -> list[str]:
         """Controllers hold solver handles, which do not pickle."""
-        return [*super()._excluded_save_params(), "guide", "_choice"]
+        return [*super()._excluded_save_params(), "guide", "_choice", "averaged_actor"]
 
     def _cloning_weight(
         self, batch: GuidedSamples, policy_value: torch.Tensor
@@ -151,6 +161,11 @@ class GuidedExploration(OverlappedLoop):
             least = torch.cat(found, dim=1).min(dim=1, keepdim=True).values
         kind = "value" if self.guide is None else self.guide.config.cloning_weight
         return cloning_weight(kind, least, policy_value.detach(), batch.guided)
+
+    def _actor_updated(self) -> None:
+        """To be called after each update of the actor."""
+        if self.averaged_actor is not None:
+            follow(self.averaged_actor, self.actor, 1.0 - self.average)
 
     def _beta(self) -> float:
         """Weight of behaviour cloning now."""

@@ -29,6 +29,7 @@ class GuidedSAC(GuidedExploration, SAC):
         exploration_noise: added to the policy's actions.
         policy_delay: updates of the critics to one of the actor; None: 1.
         overlap: whether environments step while the updates run, see `OverlappedLoop`.
+        average: see `GuidedExploration`.
     """
 
     def __init__(
@@ -40,11 +41,12 @@ class GuidedSAC(GuidedExploration, SAC):
         exploration_noise: float = 0.0,
         policy_delay: int | None = None,
         overlap: bool = False,
+        average: float = 0.0,
         **options: Any,
     ) -> None:
         options = {"ent_coef": 0.0, "replay_buffer_class": GuidedReplayBuffer, **options}
         super().__init__(policy, env, **options)
-        self._begin(guide, exploration_noise, overlap)
+        self._begin(guide, exploration_noise, overlap, average)
         self.policy_delay = policy_delay or 1
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
@@ -95,6 +97,7 @@ class GuidedSAC(GuidedExploration, SAC):
                 self.actor.optimizer.zero_grad()
                 (actor_loss + beta * cloning).backward()
             self.actor.optimizer.step()
+            self._actor_updated()
             actor_updates += 1
             sums["actor_loss"] += actor_loss.detach()
             sums["bc_loss"] += cloning.detach()

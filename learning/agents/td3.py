@@ -24,6 +24,7 @@ class GuidedTD3(GuidedExploration, TD3):
         guide: who acts.
         exploration_noise: standard deviation of what is added to the policy's actions.
         overlap: whether environments step while the updates run, see `OverlappedLoop`.
+        average: see `GuidedExploration`.
     """
 
     def __init__(
@@ -35,11 +36,12 @@ class GuidedTD3(GuidedExploration, TD3):
         exploration_noise: float = 0.1,
         policy_delay: int | None = None,
         overlap: bool = False,
+        average: float = 0.0,
         **options: Any,
     ) -> None:
         options = {"replay_buffer_class": GuidedReplayBuffer, **options}
         super().__init__(policy, env, policy_delay=policy_delay or 2, **options)
-        self._begin(guide, exploration_noise, overlap)
+        self._begin(guide, exploration_noise, overlap, average)
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
         """``gradient_steps`` updates of the critic; of actor and targets at every second one."""
@@ -84,6 +86,7 @@ class GuidedTD3(GuidedExploration, TD3):
                 self.actor.optimizer.zero_grad()
                 (actor_loss + beta * cloning).backward()
             self.actor.optimizer.step()
+            self._actor_updated()
             follow(self.critic_target, self.critic, self.tau)
             follow(self.actor_target, self.actor, self.tau)
             actor_updates += 1

@@ -18,6 +18,7 @@ from torch import nn
 import dexctl
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
+from learning import checkpoint
 from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3
 from learning.agents.losses import cloning_weight
 from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
@@ -26,7 +27,7 @@ from learning.envs import EnvConfig
 from learning.exploration import GuidanceConfig, Guide
 from learning.policy import load_policy
 from learning.settings import TrainConfig
-from learning.train import train
+from learning.train import build, policy_layers, train
 
 BOX = gymnasium.spaces.Box
 
@@ -246,3 +247,45 @@ def test_recipes_on_the_command_line() -> None:
     assert config("--recipe", "fast", "--method", "rl").guidance.beta == GuidanceConfig().beta
     with pytest.raises(UnknownName, match="'slow'; known: thesis, fast"):
         config("--recipe", "slow")
+
+
+@pytest.mark.parametrize("kind", [GuidedSAC, GuidedTD3])
+def test_the_actor_is_averaged(kind: Any) -> None:
+    env = gymnasium.make("Pendulum-v1")
+    agent = kind("MlpPolicy", env, device="cpu", seed=0, buffer_size=100, average=0.9)
+    agent.learn(30)
+    expected = [p.detach().clone() for p in agent.averaged_actor.parameters()]
+    before = [p.detach().clone() for p in agent.actor.parameters()]
+    agent.train(2, 8)  # one update of TD3's actor, two of SAC's
+    if kind is GuidedTD3:
+        for old, new, mean in zip(
+            expected, agent.actor.parameters(), agent.averaged_actor.parameters(), strict=True
+        ):
+            torch.testing.assert_close(mean, 0.9 * old + 0.1 * new)
+    moved = [not a.equal(b) for a, b in zip(before, agent.actor.parameters(), strict=True)]
+    assert any(moved)
+    assert kind("MlpPolicy", env, device="cpu", seed=0, buffer_size=100).averaged_actor is None
+
+
+def test_the_kept_policy_is_the_mean(tmp_path: Path) -> None:
+    config = TrainConfig(
+        env=EnvConfig(object="cylinder", episode_steps=30), guidance=GuidanceConfig(method="rl"),
+        controllers=(), steps=200, num_envs=4, network=(8,), batch_size=16, learning_starts=40,
+        buffer_size=200, policy_average=0.99, learning_rate=1e-3, learning_rate_end=0.0,
+        device="cpu",
+    )  # fmt: skip
+    agent = build(config)
+    agent.learn(100)
+    assert agent.averaged_actor is not None
+    kept, _ = policy_layers(agent)[0]
+    (mean,) = [p for n, p in agent.averaged_actor.named_parameters() if n == "latent_pi.0.weight"]
+    (last,) = [p for n, p in agent.actor.named_parameters() if n == "latent_pi.0.weight"]
+    assert (kept == mean.numpy()).all()
+    assert not np.allclose(kept, last.detach().numpy())
+    assert [agent.lr_schedule(left) for left in (1.0, 0.5, 0.25, 0.0)] == pytest.approx(
+        [1e-3, 1e-3, 5e-4, 0.0]
+    )
+    again = build(config)
+    checkpoint.restore(again, checkpoint.capture(agent))
+    for ours, theirs in zip(policy_layers(agent), policy_layers(again), strict=True):
+        assert (ours[0] == theirs[0]).all()
