@@ -24,6 +24,7 @@ ORDER = {
     "simulator": "open",
     "in_grasp": "open",
     "gaits": "open",
+    "learned": "open",
     "learner": "open",
     "hardware_grasp": "open",
     "hardware_loop": "folded",
@@ -31,6 +32,7 @@ ORDER = {
     "allegro": "folded",
     "ablation": "folded",
     "robustness": "folded",
+    "learning_ablation": "folded",
 }
 
 

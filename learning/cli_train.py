@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import make_folder, parse_gravity
@@ -93,8 +93,8 @@ class Train:
     """How far the target critics follow at each update; by default the recipe's."""
     n_step: int | None = None
     """Steps of the critics' returns; 1 in the thesis."""
-    layer_norm: bool = False
-    """Layer normalisation in the critics."""
+    layer_norm: Literal["yes", "no"] | None = None
+    """Layer normalisation in the critics; none in the thesis."""
     critic_parts: tuple[str, ...] | None = None
     """Parts of the observation that only the critics see; none in the thesis."""
     policy_delay: int | None = None
@@ -191,7 +191,7 @@ class Train:
             policy_average=self.policy_average,
             tau=self.tau,
             n_step=self.n_step,
-            layer_norm=self.layer_norm or None,
+            layer_norm=None if self.layer_norm is None else self.layer_norm == "yes",
             critic_parts=self.critic_parts,
         )
         return TrainConfig(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from importlib.metadata import EntryPoint
+
 import numpy as np
 import pytest
 
@@ -23,7 +25,10 @@ def state_of(hand: dexctl.HandModel, batch: tuple[int, ...] = ()) -> dexctl.Gras
     )
 
 
-@pytest.mark.parametrize("name", controllers.names())
+OWN = [name for name in controllers.names() if controllers.entry(name).module.startswith("dexctl")]
+
+
+@pytest.mark.parametrize("name", OWN)
 def test_each_name_makes_its_controller(name: str, dex5: dexctl.HandModel) -> None:
     controller = controllers.make(name, dex5, control_period=0.02)
     assert isinstance(controller, dexctl.Controller)
@@ -72,3 +77,19 @@ def test_an_axis_turns_them_with_the_same_speed(name: str, dex5: dexctl.HandMode
     grasp = {"igm": lambda config: config}.get(name, lambda config: config.in_grasp)
     before, after = grasp(plain.config), grasp(other.config)
     assert after.twist == pytest.approx((0.0, 0.0, 0.0, 0.0, -before.twist[5], 0.0))
+
+
+def test_other_packages_add_theirs(dex5: dexctl.HandModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    points = [
+        EntryPoint("in_place", "dexctl.controllers:Hold", controllers.GROUP),
+        EntryPoint("igm", "dexctl.controllers:Hold", controllers.GROUP),  # taken
+    ]
+    monkeypatch.setattr(controllers, "entry_points", lambda group: points)
+    controllers._known.cache_clear()
+    try:
+        assert controllers.names() == (*OWN, "in_place")
+        assert controllers.entry("in_place").title == "in place"
+        assert isinstance(controllers.make("in_place", dex5), controllers.Hold)
+        assert isinstance(controllers.make("igm", dex5), dexctl.InGraspManipulation)
+    finally:
+        controllers._known.cache_clear()

@@ -1,0 +1,74 @@
+"""The policies that come with the package."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl import controllers
+from dexctl.exceptions import InvalidInput, UnknownName
+from learning import policies
+from learning.evaluate import Protocol, evaluate
+
+
+@pytest.mark.parametrize("name", policies.names())
+def test_each_turns_its_objects_all_the_way_round(name: str) -> None:
+    policy = policies.load(name)
+    trained = policy.card["trained"]["env"]["object"]
+    for turned in [trained] if isinstance(trained, str) else trained:
+        found = evaluate(policy, turned, Protocol(episodes=4, seconds=20.0, seed=1000))
+        assert np.median(found.rotation) > 2 * np.pi, turned
+
+
+@pytest.mark.parametrize("name", policies.names())
+def test_each_has_its_card(name: str) -> None:
+    card = json.loads((policies.FOLDER / f"{name}.json").read_text())
+    assert card["steps"] >= 1_000_000
+    assert {"python", "torch", "mujoco"} <= set(card["versions"])
+    assert card["trained"]["seed"] >= 0
+    assert card["figures"]["return"] > 0
+    assert card == json.loads(json.dumps(policies.load(name).card))
+
+
+def test_the_package_is_small() -> None:
+    assert sum(path.stat().st_size for path in policies.FOLDER.glob("*.npz")) < 2_000_000
+
+
+def test_learned_is_a_controller_of_that_name(dex5: dexctl.HandModel) -> None:
+    policy = policies.learned(dex5)
+    assert policy.hand is dex5
+    objects = policy.card["trained"]["env"]["object"]
+    assert len(objects) == 5  # the one for several objects comes first
+    assert policies.learned(dex5, policy="dex5-cylinder").card["trained"]["env"]["object"] == (
+        "cylinder"
+    )
+
+
+def test_what_there_is_no_policy_for(dex5: dexctl.HandModel, allegro: dexctl.HandModel) -> None:
+    with pytest.raises(InvalidInput, match=r"for the hand .*; there is one for dex5"):
+        policies.learned(allegro)
+    with pytest.raises(InvalidInput, match=r"control_period is 0.02; .* was trained with 0.05"):
+        policies.learned(dex5, control_period=0.02)
+    with pytest.raises(UnknownName, match="'dex5-pen'; known: "):
+        policies.load("dex5-pen")
+
+
+def test_numpy_is_enough() -> None:
+    code = (
+        "import sys, dexctl; from learning import policies; "
+        "policies.learned(dexctl.hands.load('dex5')); "
+        "print([name for name in ('torch', 'gymnasium', 'mujoco') if name in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "torch" not in found.stdout and "gymnasium" not in found.stdout
+
+
+def test_it_is_registered() -> None:
+    if "learned" not in controllers.names():
+        pytest.skip("dexctl is not installed, so its entry points are not known")
+    assert controllers.entry("learned").module == "learning.policies"
