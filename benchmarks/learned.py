@@ -30,7 +30,6 @@ TITLES = {
     "igm": "in-grasp manipulation",
     "gait": "gait of the thesis",
     "coordinated": "coordinated gait",
-    "coordinated": "coordinated gait",
     "dex5-cylinder": "learned, on the cylinder",
     "dex5-easy": "learned, on all five",
 }
