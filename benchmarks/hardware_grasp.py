@@ -14,6 +14,7 @@ counted up to there.
 
 from __future__ import annotations
 
+import json
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -280,17 +281,32 @@ def emulated(scene: Scene, name: str, given: GraspSettings, seed: int) -> dict[s
     }
 
 
+def _kept(given: GraspSettings) -> tuple[dict[str, Any] | None, list[dict[str, Any]]]:
+    """With --resume, the earlier result but for the runs in real time, which the machine shapes."""
+    path = given.out / "hardware_grasp.json"
+    if not (given.resume and path.is_file()):
+        return None, []
+    found = json.loads(path.read_text())
+    fixed = ("seed", "trials", "seconds", "trace_seconds")
+    if any(found["settings"][key] != getattr(given, key) for key in fixed):
+        return None, []
+    return found["trace"], [row for row in found["runs"] if "seed" not in row]
+
+
 def main() -> None:
     given = settings(GraspSettings, __doc__)
     scene = _scene()
-    compared, made = traces(given, scene)
-    if given.picture is not None:
-        draw(made, given.picture)
-    rows: list[dict[str, Any]] = []
+    compared, rows = _kept(given)
+    if compared is None:
+        compared, made = traces(given, scene)
+        if given.picture is not None:
+            draw(made, given.picture)
     for name in NAMES:
         for as_real in (False, True):
-            progress(f"{name} in the simulator{', as real' if as_real else ''}")
-            rows.append(simulated(scene, name, given, as_real=as_real))
+            if not any(r["controller"] == name and ("limits" in r["where"]) is as_real
+                       for r in rows):  # fmt: skip
+                progress(f"{name} in the simulator{', as real' if as_real else ''}")
+                rows.append(simulated(scene, name, given, as_real=as_real))
         for i in range(given.repeats):
             progress(f"{name} through the bus, {given.seconds:g} s")
             rows.append(emulated(scene, name, given, given.seed + i))
