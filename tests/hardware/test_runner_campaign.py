@@ -314,7 +314,7 @@ class Campaign:
         if self._path is not None:
             aside = self._path.with_suffix(".part")
             content = {**self.about, "machine": machine(), "trials": self.trials}
-            aside.write_text(json.dumps(content, indent=1, default=str) + "\n")
+            aside.write_text(json.dumps(content, default=str) + "\n")
             aside.replace(self._path)
 
 
