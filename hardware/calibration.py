@@ -159,7 +159,9 @@ class Calibration:
         return np.minimum(torque / self.torque_constant, MOST_AMPERE)
 
     def save(self, path: str | Path) -> None:
-        """Write the TOML file."""
+        """Write the TOML file, whole or not at all."""
+        from dexctl.report.files import write_text
+
         lines = [
             "# Joint angle 0 is at servo angle `zero` [rad]; `sign` is -1 where they turn against",
             "# each other; range [rad] of the joint; torque_constant [N m/A].",
@@ -169,7 +171,7 @@ class Calibration:
         for i, name in enumerate(self.joint_names):
             lines += ["", "[[joint]]", f'name = "{name}"']
             lines += [f"{key} = {getattr(self, key)[i].item()!r}" for key in _COLUMNS[1:]]
-        Path(path).expanduser().write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_text(Path(path).expanduser(), "\n".join(lines) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:

@@ -13,6 +13,7 @@ from hardware import registers
 from hardware.hand import ServoHand
 from hardware.machine import Event
 from hardware.samples import JointSample
+from hardware.tactile import NoTactile
 
 LOST_AFTER = 3  # reads missed in a row
 HEALTH_SECONDS = 1.0
@@ -92,6 +93,8 @@ class Lookout:
         touch = self._hand.touch
         if not touch.stale.any():
             return
+        if not needed and isinstance(self._hand.tactile, NoTactile):
+            return  # there is nothing that could have fallen silent
         age = time.monotonic() - touch.time[touch.stale].min()
         old = f"{1e3 * age:.0f} ms old" if np.isfinite(age) else "no reading yet"
         detail = f"finger {', '.join(str(i) for i in np.flatnonzero(touch.stale))}: {old}"

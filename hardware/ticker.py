@@ -18,6 +18,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 
 _PRIORITY = 50
+_HELPER_PRIORITY = 30
 
 
 class Tick(NamedTuple):
@@ -93,13 +94,21 @@ def undisturbed() -> Iterator[bool]:
             gc.enable()
 
 
-def _real_time() -> tuple[int, os.sched_param] | None:
+def hurry() -> bool:
+    """Real-time scheduling for a thread that works for the loop; False where not permitted.
+
+    Behind the loop itself and behind emulated servos, before everything else of the machine.
+    """
+    return _real_time(_HELPER_PRIORITY) is not None
+
+
+def _real_time(priority: int = _PRIORITY) -> tuple[int, os.sched_param] | None:
     """The scheduling before, if it could be changed."""
     if not hasattr(os, "SCHED_FIFO"):
         return None
     try:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except OSError:
         return None
     return before

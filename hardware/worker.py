@@ -11,6 +11,7 @@ import numpy as np
 
 from dexctl import Controller, GraspState
 from dexctl.state import Floats
+from hardware.ticker import hurry
 
 
 class Command(NamedTuple):
@@ -79,6 +80,7 @@ class ControllerThread:
         return not self._thread.is_alive()
 
     def _work(self) -> None:
+        hurry()  # a command that waits for the machine's other work is as late as a slow one
         while (item := self._states.get()) is not None:
             state, asked = item
             start = time.perf_counter()

@@ -213,7 +213,8 @@ class FirstOrderJoints(Joints):
             raise InvalidInput(f"turn: {len(angles)} angles; expected {len(self.q)}, all finite")
         if self.commands.torque_on.any():
             raise InvalidInput("turn: the torque is on")
-        self.q[:] = self.reference[:] = angles
+        self.q[:] = angles
+        self.reference[:] = angles
 
     def _step(self, h: float) -> None:
         c, b = self.commands, self.viscosity

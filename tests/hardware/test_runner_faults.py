@@ -96,11 +96,7 @@ def test_a_quiet_run(emulator: Emulator, bus: Bus, dex5: dexctl.HandModel, tmp_p
         report = run(bus, dex5, {}, log=log)
     assert (report.outcome, report.cause, report.torque) == (State.IDLE, None, Torque.OFF)
     assert report.torque_message == "torque off, confirmed by all 15 servos"
-    assert [said.event for said in report.events if said.event is not Event.TACTILE_STALE] == [
-        Event.ARM,
-        Event.START,
-        Event.FINISHED,
-    ]
+    assert [said.event for said in report.events] == [Event.ARM, Event.START, Event.FINISHED]
     assert not any(emulator.state()["torque_on"])
     kept = read_log(tmp_path / "a.mcap")
     assert len(kept.ticks["time"]) == report.ticks and kept.summary["outcome"] == "idle"
@@ -247,7 +243,8 @@ def test_tactile_silence_matters_to_those_who_need_it(
     report = run(bus, dex5, {}, needs_tactile=True)
     assert (report.outcome, report.cause) == (State.HOLD, Event.TACTILE_NEEDED)
     report = run(bus, dex5, {}, needs_tactile=False)
-    assert report.outcome is State.IDLE and report.counts[Event.TACTILE_STALE] > 1
+    # without fingertips there is nothing that could have fallen silent
+    assert report.outcome is State.IDLE and report.counts[Event.TACTILE_STALE] == 0
 
 
 def test_ctrl_c_holds_then_releases(emulator: Emulator, bus: Bus, dex5: dexctl.HandModel) -> None:
