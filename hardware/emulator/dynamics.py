@@ -209,7 +209,7 @@ class FirstOrderJoints(Joints):
 
     def turn(self, q: Sequence[float]) -> None:
         angles = np.asarray(q, float)
-        if angles.shape != self.q.shape or not np.isfinite(angles).all():
+        if angles.shape != (len(self.q),) or not np.isfinite(angles).all():
             raise InvalidInput(f"turn: {len(angles)} angles; expected {len(self.q)}, all finite")
         if self.commands.torque_on.any():
             raise InvalidInput("turn: the torque is on")
