@@ -119,10 +119,14 @@ def profiled(call: Callable[[], Any], agent: Any) -> dict[str, float]:
         wrap(agent, "_store_transition", whole("store"))
         wrap(agent, "train", whole("loop"))
         wrap(agent.replay_buffer, "sample", _sampling(watch))
-        wrap(agent.critic.optimizer, "step", then("actor"))
-        wrap(agent.actor.optimizer, "step", then("follow"))
-        follow = (stock_sac, "polyak_update") if type(agent) is SAC else (our_sac, "follow")
-        wrap(*follow, then("loop"))
+        if type(agent) is SAC:  # critics, actor, target critics
+            wrap(agent.critic.optimizer, "step", then("actor"))
+            wrap(agent.actor.optimizer, "step", then("follow"))
+            wrap(stock_sac, "polyak_update", then("loop"))
+        else:  # critics, target critics, actor
+            wrap(agent.critic.optimizer, "step", then("follow"))
+            wrap(our_sac, "follow", then("actor"))
+            wrap(agent.actor.optimizer, "step", then("loop"))
         watch.lap()
         watch.seconds = dict.fromkeys(PARTS, 0.0)
         call()
