@@ -34,12 +34,14 @@ VARIANTS: dict[str, tuple[str, tuple[str, ...]]] = {
 class Options(Settings):
     """Settings of the measurement."""
 
-    steps: int = 300_000
+    steps: int = 160_000
     """Environment steps of each training."""
     hard_stop: int = 500_000
     """Of the guide: beyond the steps it measures how soon the policy does what the guide does."""
     episodes: int = 100
-    """Of the policy alone, 60 s each."""
+    """Of the policy alone."""
+    seconds: float = 60.0
+    """Of each."""
     variants: tuple[str, ...] = tuple(VARIANTS)
     """Which."""
     jobs: int = 2
@@ -69,7 +71,9 @@ def measure(name: str, given: Options) -> dict[str, Any]:
     if made.returncode:
         raise RuntimeError(f"{name}: {made.stderr.strip().splitlines()[-1:]}")
     policy = load_policy(folder / "policy.npz")
-    found = evaluate(policy, "cylinder", Protocol(episodes=given.episodes, threads=1))
+    found = evaluate(
+        policy, "cylinder", Protocol(episodes=given.episodes, seconds=given.seconds, threads=1)
+    )
     return {
         "variant": name,
         "config": read_config(folder).to_dict(),
@@ -98,7 +102,7 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     ]
     table = {
         "title": f"The recipe with one part taken away, cylinder, {given.steps:,} steps, seed "
-        f"{given.seed}, {given.episodes} episodes of 60 s of the policy alone",
+        f"{given.seed}, {given.episodes} episodes of {given.seconds:g} s of the policy alone",
         "header": ["", "rotation [rad]", "full turn", "dropped", "return"],
         "rows": lines,
     }

@@ -25,6 +25,10 @@ RUNS: dict[str, list[str]] = {
     "learner.py": [
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
     ],
+    "learned.py": [*SHORT, "--objects", "cylinder"],
+    "learning_ablation.py": [
+        *("--steps", "256", "--variants", "fast", "--episodes", "2", "--seconds", "0.5"),
+    ],
     "bus.py": ["--cycles", "20", "--rounds", "2"],
     "hardware_loop.py": ["--cycles", "20", "--rounds", "2", "--seconds", "0.5", *PATIENT],
     "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
@@ -45,7 +49,7 @@ def run(script: str, *arguments: str | Path, **environment: str) -> subprocess.C
 
 def test_every_script_is_run_here() -> None:
     scripts = {path.name for path in FOLDER.glob("*.py")} - {
-        "common.py", "readme.py", "learner_profile.py",
+        "common.py", "readme.py", "learner_profile.py", "learning_curves.py",
     }  # fmt: skip
     assert scripts == set(RUNS)
 
@@ -55,14 +59,16 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     arguments = [*RUNS[script], "--out", tmp_path]
     if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
-    if script == "learner.py":
+    if script == "learning_ablation.py":
+        arguments += ["--runs", tmp_path / "runs"]
+    if script in ("learner.py", "learning_ablation.py"):
         pytest.importorskip("stable_baselines3", reason="needs the extra 'learning'")
     if script == "allegro.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]
     done = run(script, *arguments)
     assert done.returncode == 0, done.stderr
     name = Path(script).stem
-    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.json"]
+    assert {path.name for path in tmp_path.iterdir()} - {"runs"} == {f"{name}.json"}
     result = json.loads((tmp_path / f"{name}.json").read_text())
     assert result["benchmark"] == name
     assert result["machine"]["versions"]["mujoco"][0].isdigit()
@@ -70,6 +76,12 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     assert result["figures"] or result["tables"]
     for table in result["tables"]:
         assert {len(row) for row in table["rows"]} == {len(table["header"])}
+
+
+def test_learning_curves_are_drawn(tmp_path: Path) -> None:
+    done = run("learning_curves.py", "--out", tmp_path / "curves.png")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_interrupted_run_goes_on(tmp_path: Path) -> None:
