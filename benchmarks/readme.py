@@ -32,7 +32,6 @@ ORDER = {
     "allegro": "folded",
     "ablation": "folded",
     "robustness": "folded",
-    "learning_ablation": "folded",
 }
 
 

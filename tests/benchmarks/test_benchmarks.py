@@ -26,9 +26,6 @@ RUNS: dict[str, list[str]] = {
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
     ],
     "learned.py": [*SHORT, "--objects", "cylinder"],
-    "learning_ablation.py": [
-        *("--steps", "256", "--variants", "fast", "--episodes", "2", "--seconds", "0.5"),
-    ],
     "bus.py": ["--cycles", "20", "--rounds", "2"],
     "hardware_loop.py": ["--cycles", "20", "--rounds", "2", "--seconds", "0.5", *PATIENT],
     "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
@@ -59,16 +56,14 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     arguments = [*RUNS[script], "--out", tmp_path]
     if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
-    if script == "learning_ablation.py":
-        arguments += ["--runs", tmp_path / "runs"]
-    if script in ("learner.py", "learning_ablation.py"):
+    if script == "learner.py":
         pytest.importorskip("stable_baselines3", reason="needs the extra 'learning'")
     if script == "allegro.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]
     done = run(script, *arguments)
     assert done.returncode == 0, done.stderr
     name = Path(script).stem
-    assert {path.name for path in tmp_path.iterdir()} - {"runs"} == {f"{name}.json"}
+    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.json"]
     result = json.loads((tmp_path / f"{name}.json").read_text())
     assert result["benchmark"] == name
     assert result["machine"]["versions"]["mujoco"][0].isdigit()
