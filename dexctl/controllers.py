@@ -97,18 +97,26 @@ _CONTROLLERS = {
 
 GROUP = "dexctl.controllers"
 
+# words for a name that comes with dexctl, whose object is of another room
+_WORDS = {
+    "learned": ("learned gait", "a policy that was trained with the controllers as its guides")
+}
+
 
 @cache
 def _known() -> dict[str, ControllerEntry]:
     """All controllers; a name of dexctl's own cannot be taken over by another package."""
     found = dict(_CONTROLLERS)
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        package = point.module.partition(".")[0]
+        words = point.name.replace("_", " "), f"of the package {package}"
+        title, description = _WORDS.get(point.name, words) if package == "learning" else words
         found.setdefault(
             point.name,
             ControllerEntry(
                 name=point.name,
-                title=point.name.replace("_", " "),
-                description=f"of the package {point.module.partition('.')[0]}",
+                title=title,
+                description=description,
                 module=point.module,
                 attribute=point.attr,
             ),

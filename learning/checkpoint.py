@@ -34,6 +34,10 @@ class CheckpointError(DexctlError, RuntimeError):
     """A checkpoint cannot be written, read, or continued from."""
 
 
+class TrainingDiverged(DexctlError, RuntimeError):
+    """The weights are no longer finite; the last checkpoint has those from before."""
+
+
 def write(folder: Path, content: dict[str, Any]) -> Path:
     """Put ``content`` into the checkpoint of ``folder``, in place of the one before.
 

@@ -31,10 +31,20 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 
+
+def _relu(x: Floats) -> Floats:
+    return np.maximum(x, 0.0)
+
+
+def _elu(x: Floats) -> Floats:
+    return np.where(x > 0, x, np.expm1(np.minimum(x, 0.0)))
+
+
+# named functions, so that a policy can be pickled, as other controllers can
 ACTIVATIONS: Mapping[str, Callable[[Floats], Floats]] = {
-    "relu": lambda x: np.maximum(x, 0.0),
+    "relu": _relu,
     "tanh": np.tanh,
-    "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
+    "elu": _elu,
 }
 
 

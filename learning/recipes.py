@@ -60,7 +60,7 @@ def recipe(name: str, method: str = "vge+bc") -> Recipe:
     Raises:
         UnknownName: no such recipe.
     """
-    if name not in RECIPES:
+    if not isinstance(name, str) or name not in RECIPES:
         raise UnknownName("recipe", name, RECIPES)
     found = RECIPES[name]
     if method.endswith("+bc"):

@@ -11,7 +11,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.validation import check_numbers
 from learning.envs import EnvConfig
 from learning.envs.observation import check_parts
-from learning.exploration.guide import GuidanceConfig
+from learning.exploration.guide import GuidanceConfig, check_controllers
 
 ALGORITHMS = ("sac", "td3")
 DEVICES = ("auto", "cpu", "cuda")
@@ -91,6 +91,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         for name in self.controllers:
             controllers.entry(name)
+        check_controllers(self.guidance.method, self.controllers)
         if self.algorithm not in ALGORITHMS:
             raise UnknownName("algorithm", self.algorithm, ALGORITHMS)
         if self.device not in DEVICES:

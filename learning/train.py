@@ -206,8 +206,13 @@ def _run(
             del saved
         left = config.steps - agent.num_timesteps
         if left > 0:
-            with _interruptible(keeper):
-                agent.learn(left, callback=keeper, reset_num_timesteps=False)
+            try:
+                with _interruptible(keeper):
+                    agent.learn(left, callback=keeper, reset_num_timesteps=False)
+            except (InvalidInput, ValueError) as error:  # of actions or values that are not finite
+                if agent.diverged:
+                    raise keeper.diverged() from error
+                raise
             keeper.finish()
         else:  # a kill may have come between the last checkpoint and its policy
             export_policy(agent, config, folder / POLICY_NAME, keeper.row)
@@ -308,9 +313,15 @@ class _Keeper(BaseCallback):
         return self._seconds + time.monotonic() - self._since
 
     def save(self) -> None:
-        """Checkpoint and policy."""
+        """Checkpoint and policy.
+
+        Raises:
+            TrainingDiverged: the weights are not finite; the checkpoint before is left.
+        """
         self.log.sync()
         agent = self._agent()
+        if agent.diverged:
+            raise self.diverged()
         self._next_checkpoint = _next(agent.num_timesteps, self.config.checkpoint_every)
         run = {
             "tally": dict(self.tally.sums),
@@ -321,6 +332,15 @@ class _Keeper(BaseCallback):
         }
         checkpoint.write(self.folder, {**checkpoint.capture(agent), "run": run})
         export_policy(agent, self.config, self.folder / POLICY_NAME, self.row)
+
+    def diverged(self) -> checkpoint.TrainingDiverged:
+        """What to say where the weights are not finite."""
+        there = (self.folder / checkpoint.NAME).exists()
+        kept = "the checkpoint from before is kept" if there else "there is no checkpoint yet"
+        return checkpoint.TrainingDiverged(
+            f"training diverged before step {self._agent().num_timesteps}: weights are not finite; "
+            f"{kept}; a lower learning rate may help"
+        )
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from what a checkpoint has."""

@@ -148,6 +148,13 @@ class GuidedExploration(OverlappedLoop):
             self.guide.after_step(np.asarray(dones, bool))
         self._last_obs = new_obs
 
+    @property
+    def diverged(self) -> bool:
+        """Whether a weight is not finite: no update will mend it."""
+        networks = [self.policy, self.averaged_actor]
+        weights = [p for network in networks if network is not None for p in network.parameters()]
+        return not all(bool(torch.isfinite(weight).all()) for weight in weights)
+
     def _excluded_save_params(self) -> list[str]:
         """Controllers hold solver handles, which do not pickle."""
         return [*super()._excluded_save_params(), "guide", "_choice", "averaged_actor"]

@@ -125,6 +125,16 @@ class GuidanceConfig:
         return self.method.endswith("+bc")
 
 
+def check_controllers(method: str, names: Sequence[str]) -> None:
+    """Raise InvalidInput where a method has more or fewer controllers than it can use."""
+    if method != "rl" and not names:
+        raise InvalidInput(f"method {method!r} got no controllers; expected one or more")
+    if method == "rl+bc" and len(names) > 1:
+        raise InvalidInput(
+            f"method 'rl+bc' has the controllers {', '.join(names)} at once; it takes one"
+        )
+
+
 class Guided(NamedTuple):
     """What to do in N environments.
 
@@ -171,8 +181,7 @@ class Guide:
     ) -> None:
         if config.method == "rl":
             controllers = ()
-        elif not controllers:
-            raise InvalidInput(f"method {config.method!r} got no controllers; expected one or more")
+        check_controllers(config.method, [type(controller).__name__ for controller in controllers])
         self.env, self.config = env, config
         self.controllers = tuple(controllers)
         own = [commitment(controller) for controller in self.controllers]

@@ -11,6 +11,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from learning.envs import EnvConfig
 from learning.evaluate import Protocol
 from learning.exploration import GuidanceConfig
+from learning.recipes import recipe
 from learning.settings import TrainConfig
 
 _ELSEWHERE = ("env", "guidance", "controllers", "seed")  # of TrainConfig: tables, or the matrix
@@ -105,7 +106,7 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 def check_settings(values: Mapping[str, Any], where: str) -> None:
     """Raise UnknownName where [train] or [method.METHOD] names a setting that there is not."""
-    check_keys(where, values, (*_names(TrainConfig, _ELSEWHERE), "env", "guidance"))
+    check_keys(where, values, (*_names(TrainConfig, _ELSEWHERE), "env", "guidance", "recipe"))
     check_keys(f"{where}.env", table(values, "env", f"{where}.env"), _names(EnvConfig))
     guidance = table(values, "guidance", f"{where}.guidance")
     check_keys(f"{where}.guidance", guidance, _names(GuidanceConfig, ("method",)))
@@ -114,7 +115,15 @@ def check_settings(values: Mapping[str, Any], where: str) -> None:
 def train_config(
     settings: Mapping[str, Any], method: str, names: tuple[str, ...], seed: int
 ) -> TrainConfig:
-    """The configuration of one run, from [train] with what [method.METHOD] changes."""
+    """The configuration of one run, from [train] with what [method.METHOD] changes.
+
+    Both go before the settings of a recipe that one of them names.
+    """
+    if "recipe" in settings:
+        chosen = recipe(settings["recipe"], method)
+        given = {key: value for key, value in settings.items() if key != "recipe"}
+        base = {**chosen.training, "env": chosen.env, "guidance": chosen.guidance}
+        settings = merged(base, given)
     top = {key: value for key, value in settings.items() if key not in ("env", "guidance")}
     env = _options(EnvConfig, table(settings, "env"), "train.env")
     guidance = _options(GuidanceConfig, table(settings, "guidance"), "train.guidance")

@@ -85,6 +85,26 @@ def test_settings_reach_the_runs() -> None:
         assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
+def test_a_recipe_gives_what_is_not_given() -> None:
+    given = changed(train__recipe="fast", train__tau=0.5, train__guidance={"hard_stop": 500})
+    runs = {run.name: run.config for run in SweepConfig.parse(given).runs}
+    clone, alone = runs["rl+bc-igm-0"], runs["rl-7"]
+    for config in (clone, alone):
+        assert (config.n_step, config.layer_norm, config.env.scaled) == (5, True, True)
+        assert (config.tau, config.guidance.hard_stop, config.steps) == (0.5, 500, 1000)
+        assert config.critic_parts == ("object_position", "object_quaternion")
+    assert (clone.guidance.cloning, clone.guidance.beta) == ("squared", 1.0)
+    assert alone.guidance.cloning == "likelihood"
+    # for one method alone; and for all but one
+    runs = {
+        run.name: run.config for run in SweepConfig.parse(changed(method__rl__recipe="fast")).runs
+    }
+    assert (runs["rl-7"].n_step, runs["vge-gait-0"].n_step) == (5, 1)
+    given = changed(train__recipe="fast", method__rl__recipe="thesis")
+    runs = {run.name: run.config for run in SweepConfig.parse(given).runs}
+    assert (runs["rl-7"].n_step, runs["vge-gait-0"].n_step) == (1, 5)
+
+
 def test_every_setting_can_be_given() -> None:
     """A complete configuration, as a run writes it down, is a sweep's [train]."""
     whole = TrainConfig().to_dict()
@@ -181,6 +201,8 @@ def test_the_example() -> None:
         ({"train__env__hnad": "dex5"}, "unknown setting of train.env 'hnad'; known: hand, object"),
         ({"train__env": 1}, "train.env is 1; expected a table"),
         ({"train__guidance__method": "rl"}, "unknown setting of train.guidance 'method'"),
+        ({"train__recipe": "slow"}, "unknown recipe 'slow'; known: thesis, fast"),
+        ({"train__recipe": 3}, "unknown recipe 3; known: thesis, fast"),
         ({"train__steps": 0}, "steps is 0; expected a whole number from 1 on"),
         ({"train__steps": True}, "train.steps is True; expected no truth value"),
         ({"train__algorithm": 3}, "train.algorithm is 3; expected a name"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import pickle
 import signal
 import tomllib
 from dataclasses import fields
@@ -132,6 +133,8 @@ def test_an_interrupted_run_saves_first(tmp_path: Path) -> None:
         ("--env.latency nan", "latency is nan"),
         ("--env.initial-states none.npz", "initial_states '.*none.npz' cannot be read"),
         ("--seed -1", "seed is -1"),
+        ("--recipe slow", "unknown recipe 'slow'; known: thesis, fast"),
+        ("--method rl+bc --controller igm gait", "'rl\\+bc' has the controllers igm, gait at once"),
         ("--resume /nowhere/at/all", "there is no run in /nowhere/at/all"),
     ],
 )
@@ -178,6 +181,52 @@ def test_the_controllers_turn_about_the_axis_of_the_environments() -> None:
     (controller,) = agent.guide.controllers
     assert controller.config.twist[3:] == pytest.approx((0.4, 0.0, 0.0))  # type: ignore[attr-defined]
     agent.env.close()  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3"])
+def test_weights_that_are_not_finite_do_not_replace_a_checkpoint(
+    tmp_path: Path, algorithm: str
+) -> None:
+    folder = tmp_path / "run"
+    first = "--method", "rl", "--algorithm", algorithm, "--checkpoint-every", "100"
+    config = command(*SMALL, "--object", "cylinder", *first).config()
+    policy: list[bytes] = []
+
+    def spoil(agent: Any, step: int) -> None:
+        import torch
+
+        if step == 120:  # after the checkpoint at 100
+            policy.append((folder / "policy.npz").read_bytes())
+            with torch.no_grad():
+                next(agent.critic.parameters())[0] = float("nan")
+
+    agents = []
+
+    def built(config: TrainConfig) -> Any:
+        agents.append(build(config))
+        return agents[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("learning.train.build", built)
+        with pytest.raises(checkpoint.TrainingDiverged, match="weights are not finite") as caught:
+            train(config, folder, report=lambda step, row: spoil(agents[0], step))
+    assert "the checkpoint from before is kept" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert checkpoint.read(folder)["counters"]["num_timesteps"] == 100
+    assert (folder / "policy.npz").read_bytes() == policy[0]
+    command("--resume", str(folder)).run()  # the weights from before are fine
+    assert checkpoint.read(folder)["counters"]["num_timesteps"] == 200
+
+
+def test_a_policy_can_guide(tmp_path: Path) -> None:
+    """Checkpoints hold the controllers, so a policy in a controller's place must pickle."""
+    from dexctl import hands
+    from learning import policies
+
+    policy = policies.learned(hands.load("dex5"))
+    again = pickle.loads(pickle.dumps(policy))
+    seen = np.linspace(-1, 1, policy.observation.size)
+    assert (again.predict(seen) == policy.predict(seen)).all()
 
 
 def test_no_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -124,6 +124,30 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path: Path) -> None:
     equal_runs(whole, killed)
 
 
+def test_killed_and_resumed_with_the_fast_recipe(tmp_path: Path) -> None:
+    """Returns of several steps, a mean of actors, and a learning rate that falls with the steps."""
+    options = [*OPTIONS, "--recipe", "fast", "--method", "vge+bc", "--controller", "coordinated"]
+    options += ["--hard-stop", "700", "--decay-start", "0.2", "--steps", "1200"]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    process = start(*options, "--out", str(killed))
+    deadline = time.monotonic() + 100
+    while not (killed / checkpoint.NAME).exists():
+        assert process.poll() is None, process.communicate()[1].decode()
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+    time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert checkpoint.read(killed)["counters"]["num_timesteps"] < 1200
+    run("--resume", str(killed))
+    run(*options, "--out", str(whole))
+    equal_runs(whole, killed)
+    saved = checkpoint.read(whole)
+    assert saved["averaged_actor"] is not None
+    (group,) = saved["optimizers"]["actor"]["param_groups"]
+    assert 1e-4 <= group["lr"] < 2e-4  # nearly fallen to its end
+
+
 @pytest.mark.parametrize(
     ("algorithm", "method", "controller"),
     [
