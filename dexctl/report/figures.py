@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "clip_on": False, "zorder": 5}  # where it dropped
 WIDTH = 7.6  # [inch]; every figure has it, so that time axes line up on the page
+LEGEND_LETTERS = 80  # of the labels that fit into one row
 
 
 def rotation_figure(traces: Mapping[str, Trace], index: int = 0) -> Figure:
@@ -171,14 +172,15 @@ def latency_figure(traces: Mapping[str, Trace], control_period: float) -> Figure
 
 
 def _legend_above(axes: Axes) -> None:
-    """The legend in a row above the axes, where it covers nothing."""
+    """The legend above the axes, where it covers nothing: one row, or two where it is long."""
     handles, labels = axes.get_legend_handles_labels()
+    fits = sum(map(len, labels)) <= LEGEND_LETTERS
     axes.legend(
         handles,
         labels,
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
-        ncols=min(len(labels), 5),
+        ncols=len(labels) if fits else (len(labels) + 1) // 2,
         borderaxespad=0.2,
         handlelength=2.4,
         columnspacing=1.4,
