@@ -2,8 +2,8 @@
 
 dexctl's own stand in a table. Other packages add theirs through the entry-point group
 ``dexctl.controllers``: the name is the controller's, the object is called as ``object(hand,
-control_period=..., **options)`` and returns the `Controller`. It is loaded when it is made, not
-before.
+control_period=..., **options)``, without ``control_period`` where the controller may choose, and
+returns the `Controller`. It is loaded when it is made, not before.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def make(
     name: str,
     hand: HandModel,
     *,
-    control_period: float = 0.05,
+    control_period: float | None = 0.05,
     axis: tuple[float, float, float] | None = None,
     **options: Any,
 ) -> Controller:
@@ -154,7 +154,8 @@ def make(
     Args:
         name: one of `names`.
         hand: the hand.
-        control_period: time between two calls of ``act`` [s].
+        control_period: time between two calls of ``act`` [s]; None: what the controller's class
+            takes by itself, such as the one that a policy was trained with.
         axis: unit vector, hand frame, about which the object is to be turned, with the speed that
             the controller's settings have; None keeps their axis, which is z by default.
         **options: what else the controller's class takes, settings among it.
@@ -165,12 +166,18 @@ def make(
     """
     found = entry(name)
     kind = getattr(import_module(found.module), found.attribute)
-    controller = kind(hand, control_period=control_period, **options)
+    if control_period is not None:
+        options["control_period"] = control_period
+    controller = kind(hand, **options)
     config = getattr(controller, "config", None)
     if axis is None or config is None:
         return controller
     turned = _about(config, axis)
-    return controller if turned is config else kind(hand, turned, control_period=control_period)
+    return (
+        controller
+        if turned is config
+        else kind(hand, turned, control_period=controller.control_period)
+    )
 
 
 def _about(config: Any, axis: tuple[float, float, float]) -> Any:

@@ -11,7 +11,9 @@ from dexctl.report.style import drawing, finger_colour, new_figure
 from dexctl.state import Floats
 from hardware.log import Log
 
-__all__ = ["build", "figures_of_merit", "rotation_about_z", "write"]
+__all__ = ["DROP_DISTANCE", "build", "figures_of_merit", "rotation_about_z", "write"]
+
+DROP_DISTANCE = 0.05  # as in `dexctl.sim.trial` [m]
 
 
 def figures_of_merit(log: Log) -> dict[str, float]:
@@ -34,8 +36,20 @@ def figures_of_merit(log: Log) -> dict[str, float]:
     }
     angle = rotation_about_z(log)
     if angle is not None:
-        found["rotation_rad"] = float(angle[-1])
+        lost = _lost(log)
+        found["rotation_rad"] = float(angle[-1 if lost is None else lost])
+        if lost is not None:
+            found["object_lost_at_s"] = float(time[lost])
     return found
+
+
+def _lost(log: Log) -> int | None:
+    """First tick with the object farther from where it began than `DROP_DISTANCE`, if any."""
+    position = log.ticks.get("object_position")
+    if position is None or position.dtype == object or position.ndim != 2:
+        return None
+    away = np.flatnonzero(np.linalg.norm(position - position[0], axis=1) > DROP_DISTANCE)
+    return int(away[0]) if len(away) else None
 
 
 def rotation_about_z(log: Log) -> Floats | None:
@@ -152,7 +166,8 @@ def _touch(log: Log) -> str:
         axes[0].plot(time, force[:, i], color=finger_colour(i), linewidth=0.8)
     axes[0].set(ylabel="N", title="Normal force of each fingertip")
     if angle is not None:
-        axes[1].plot(time, angle)
+        end = _lost(log)  # a fallen object turns too, and nobody turns it
+        axes[1].plot(time[:end], angle[:end])
         axes[1].set(ylabel="rad", title="Object's turn about z (known in simulation only)")
     axes[-1].set(xlabel="time [s]")
     return html.plot(figure, "contact forces over time")

@@ -229,7 +229,11 @@ class _Run:
         if command.change is None:
             self.happen(Event.CONTROLLER_FAILED, command.error)
         elif age > limits.command_age:
-            self.happen(Event.COMMAND_STALE, f"the command was {1e3 * age:.0f} ms old")
+            self.happen(
+                Event.COMMAND_STALE,
+                f"the command was {1e3 * age:.0f} ms old, of which the controller took "
+                f"{1e3 * command.seconds:.0f} ms; the rest is machine or bus",
+            )
         elif not np.isfinite(command.change).all():
             self.happen(
                 Event.GOAL_NOT_FINITE,

@@ -12,7 +12,7 @@ from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.report.files import write_text
 from dexctl.state import Floats
-from hardware.cli.options import HandOptions
+from hardware.cli.options import HandOptions, busy
 from hardware.machine import State
 from hardware.motions import StepAndChirp, lag
 from hardware.runner import Runner
@@ -68,6 +68,8 @@ class Latency(HandOptions):
         if found.outcome is not State.IDLE or len(samples) < 100:
             why = found.cause.value if found.cause else "interrupted"
             notes().print(f"no measurement: {why}; {found.torque_message}")
+            if hint := busy(self, found):
+                notes().print(hint)
             return 1
         step, chirp = delays(np.array(samples), motion.STEP_SECONDS, period)
         said = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -19,10 +20,15 @@ from hardware.emulated_touch import EmulatedTactile
 from hardware.emulator import Emulator
 from hardware.hand import ServoHand
 from hardware.limits import Limits
+from hardware.machine import Event
+from hardware.run_report import RunReport
 from hardware.tactile import SerialTactile, TactileSource
 from hardware.units import ServoGains, SimGains, to_servo
 
 _TIMEOUT = 0.01  # beyond the time on the wire, until a servo counts as silent [s]
+_LATE = (
+    Event.READS_LOST, Event.COMMAND_STALE, Event.OVERRUNS, Event.WATCHDOG, Event.TACTILE_NEEDED
+)  # fmt: skip
 _EMULATED_TIMEOUT = 0.03  # the emulator is one more process, on a machine that may be busy [s]
 
 
@@ -221,6 +227,19 @@ def settled_grasp(model: HandModel, object: str, gravity: str) -> Floats | None:
     if object not in object_names():
         raise UnknownName("object", object, ("none", *object_names()))
     return Scene.build(model, object, gravity).settled.q_target.copy()
+
+
+def busy(options: HandOptions, found: RunReport) -> str:
+    """Advice for an emulated run that a busy machine made late; "" where it was not that."""
+    if not (options.emulate and found.cause in _LATE and hasattr(os, "getloadavg")):
+        return ""
+    load, cores = os.getloadavg()[0], os.cpu_count() or 1
+    if load <= cores:
+        return ""
+    return (
+        f"the machine is busy (load {load:.1f} on {cores} cores), and emulated servos answer late "
+        "then: wait, or allow for it with --patience 5"
+    )
 
 
 def ports() -> list[str]:

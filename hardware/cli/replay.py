@@ -14,7 +14,7 @@ from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from hardware import report
-from hardware.cli.options import HandOptions
+from hardware.cli.options import HandOptions, busy
 from hardware.cli.run import about, finish
 from hardware.log import Log, LogWriter, read_log
 from hardware.motions import Replay
@@ -58,6 +58,8 @@ class ReplayLog(HandOptions):
                 on_event=lambda said: console.print(f"{said.event.value}: {said.detail}"),
             )
             found = runner.run(len(q_target) * period, approach=q_target[0])
+        if hint := busy(self, found):
+            console.print(hint)
         code = finish(found, folder, as_json=self.json)
         again = read_log(target)
         if not self.json and "q" in again.ticks:

@@ -19,7 +19,7 @@ from dexctl.cli.parsing import check_seconds, make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
 from hardware import report
 from hardware.calibration import Calibration
-from hardware.cli.options import HandOptions, Session
+from hardware.cli.options import HandOptions, Session, busy
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
 from hardware.machine import Event, State
@@ -27,6 +27,7 @@ from hardware.motions import Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
 
+PERIOD = 0.02  # of controllers that leave it to the runner [s]
 _BLIND = ("hold", "sine")  # controllers that do not go by touch
 INTERRUPTED = 130
 
@@ -41,11 +42,11 @@ class Run(HandOptions):
     """
 
     controller: Annotated[str, tyro.conf.Positional]
-    """igm, switch, gait, coordinated, hold, sine; or module:function that makes one."""
+    """igm, switch, gait, coordinated, learned, hold, sine; a policy file; or module:function."""
     seconds: float = 30.0
     """How long the controller runs [s]."""
-    rate: float = 50.0
-    """Control rate [Hz]."""
+    rate: float | None = None
+    """Control rate [Hz]; default 50, and what it was trained at for a learned policy."""
     object: str = "auto"
     """What is held: cube, cylinder, sphere...; none; auto: cylinder, or none for sine."""
     gravity: str = "up"
@@ -65,10 +66,10 @@ class Run(HandOptions):
 
     def run(self) -> int:
         self.check()
-        if not (np.isfinite(self.rate) and 1.0 <= self.rate <= 500.0):
-            raise InvalidInput(f"--rate is {self.rate}; expected 1 to 500 Hz")
-        period = 1.0 / self.rate
-        check_seconds(self.seconds, period)
+        asked = self.rate
+        if asked is not None and not (np.isfinite(asked) and 1.0 <= asked <= 500.0):
+            raise InvalidInput(f"--rate is {asked}; expected 1 to 500 Hz")
+        check_seconds(self.seconds, PERIOD if asked is None else 1.0 / asked)
         if self.gravity not in ("up", "down"):
             raise UnknownName("palm direction", self.gravity, ("up", "down"))
         limits = self.limits(self.speed, self.torque)
@@ -81,7 +82,8 @@ class Run(HandOptions):
                 f"{self.controller} goes by touch; expected --tactile PORT (or --emulate)"
             )
         model, calibration = self.load()
-        controller = make_controller(self.controller, model, period)
+        controller = make_controller(self.controller, model, asked)
+        period = controller.control_period
         folder = make_folder(self.out)
         with ExitStack() as stack:
             session = stack.enter_context(
@@ -95,7 +97,7 @@ class Run(HandOptions):
                 )
             )
             log = stack.enter_context(LogWriter(folder / "run.mcap"))
-            log.write("/run", self._about(calibration, limits, held))
+            log.write("/run", self._about(calibration, limits, held, period))
             console = notes()
             runner = Runner(
                 session.hand,
@@ -109,15 +111,19 @@ class Run(HandOptions):
             found = runner.run(self.seconds, approach=session.grasp)
         if not found.real_time:
             console.print("real-time scheduling was not permitted: expect late ticks")
+        if hint := busy(self, found):
+            console.print(hint)
         if log.error:
             console.print(f"the log is incomplete: {log.error}")
         return finish(found, folder, as_json=self.json)
 
-    def _about(self, calibration: Calibration, limits: Limits, held: str) -> dict[str, Any]:
+    def _about(
+        self, calibration: Calibration, limits: Limits, held: str, period: float
+    ) -> dict[str, Any]:
         return about(self, self.controller, calibration, limits) | {
             "object": held,
             "palm": self.gravity,
-            "rate_hz": self.rate,
+            "rate_hz": 1.0 / period,
             "seed": self.seed,
         }
 
@@ -143,25 +149,48 @@ def about(
     }
 
 
-def make_controller(name: str, model: HandModel, period: float) -> Controller:
-    """The controller ``name``, or what ``module:function`` makes of (hand, control_period=...).
+def make_controller(name: str, model: HandModel, rate: float | None = None) -> Controller:
+    """The controller ``name``, and with it the rate of the run.
+
+    Args:
+        name: one of `dexctl.controllers.names` or "sine"; a policy file (``.npz``); or
+            ``module:function``, which is called as ``function(hand, control_period=...)``.
+        model: the hand.
+        rate: [Hz]; None is 50, and for a controller that was made for another rate, that one.
 
     Raises:
-        UnknownName: no such controller, module or function.
-        InvalidInput: the function makes something else.
+        UnknownName: no such controller.
+        InvalidInput: no such file, module or function, it makes something else than a controller,
+            or one for another rate.
     """
+    made = _made(name, model, None if rate is None else 1.0 / rate)
+    if rate is not None and not np.isclose(made.control_period * rate, 1.0):
+        raise InvalidInput(f"--rate is {rate:g}; {name} runs at {1.0 / made.control_period:g} Hz")
+    return made
+
+
+def _made(name: str, model: HandModel, period: float | None) -> Controller:
+    usual = PERIOD if period is None else period
+    if name == "learned" or name.endswith(".npz"):
+        if "learned" not in controllers.names():
+            raise InvalidInput(f"{name}: policies need dexctl to be installed (pip install)")
+        policy = None if name == "learned" else name
+        return controllers.make("learned", model, control_period=None, policy=policy)
     if ":" not in name:
         if name == "sine":
-            return Sine(model, control_period=period)
+            return Sine(model, control_period=usual)
         if name not in controllers.names():
-            raise UnknownName("controller", name, (*controllers.names(), "sine", "module:function"))
-        return controllers.make(name, model, control_period=period)
+            known = (*controllers.names(), "sine", "POLICY.npz", "module:function")
+            raise UnknownName("controller", name, known)
+        # those of other packages may have a rate of their own
+        own = controllers.entry(name).module.startswith("dexctl.")
+        return controllers.make(name, model, control_period=usual if own else period)
     module, _, attribute = name.partition(":")
     try:
         make = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise InvalidInput(f"controller is {name!r}; it cannot be loaded: {error}") from None
-    made = make(model, control_period=period)
+    made = make(model, control_period=usual)
     if not isinstance(made, Controller):
         raise InvalidInput(f"{name} made a {type(made).__name__}; expected a dexctl.Controller")
     return made

@@ -30,17 +30,22 @@ def load(name: str, *, hand: HandModel | str | None = None) -> Policy:
     return load_policy(FOLDER / f"{name}.npz", hand=hand)
 
 
-def learned(hand: HandModel, *, control_period: float = 0.05, policy: str | None = None) -> Policy:
+def learned(
+    hand: HandModel,
+    *,
+    control_period: float | None = None,
+    policy: str | Path | None = None,
+) -> Policy:
     """The controller of the name "learned": a policy that was trained on ``hand``.
 
     Args:
         hand: the hand.
-        control_period: must be the one that the policy was trained with [s].
-        policy: one of `names`; None is the first that was trained on a hand of this name, one for
-            several objects before those for single ones.
+        control_period: must be the one that the policy was trained with [s]; None takes it.
+        policy: one of `names`, or a policy file (``.npz``); None is the first that was trained on
+            a hand of this name, one for several objects before those for single ones.
 
     Raises:
-        UnknownName, InvalidInput: there is no such policy, or none for this hand or period.
+        UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.
     """
     if policy is None:
         own = [name for name in names() if name.startswith(f"{hand.path.stem}-")]
@@ -52,10 +57,13 @@ def learned(hand: HandModel, *, control_period: float = 0.05, policy: str | None
             )
         own.sort(key=lambda name: not name.endswith("-easy"))
         policy = own[0]
-    found = load(policy, hand=hand)
-    if not np.isclose(control_period, found.control_period):
+    if Path(policy).suffix == ".npz":
+        found = load_policy(policy, hand=hand)
+    else:
+        found = load(str(policy), hand=hand)
+    if control_period is not None and not np.isclose(control_period, found.control_period):
         raise InvalidInput(
-            f"control_period is {control_period}; the policy {policy!r} was trained with "
+            f"control_period is {control_period}; the policy {str(policy)!r} was trained with "
             f"{found.control_period}"
         )
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import dexctl
+from dexctl import controllers
 from dexctl.cli import commands, main
 from dexctl.exceptions import InvalidInput
 from hardware.bus import Bus
@@ -23,6 +25,7 @@ from hardware.hand import ServoHand
 from hardware.log import LogWriter, read_log
 from hardware.motions import Replay, Sine, StepAndChirp, lag
 from hardware.report import build, figures_of_merit
+from learning import policies
 
 # Real-time loops: on a machine that others keep busy their deadlines pass, as they should.
 pytestmark = pytest.mark.slow
@@ -35,6 +38,9 @@ PATIENT = ["--emulate", "--patience", "10"]
 def group(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("hardware", "hardware.cli:COMMANDS", commands.GROUP)
     monkeypatch.setattr(commands, "entry_points", lambda group: [point])
+    learned = EntryPoint("learned", "learning.policies:learned", controllers.GROUP)
+    monkeypatch.setattr(controllers, "entry_points", lambda group: [learned])
+    monkeypatch.setattr(controllers, "_known", cache(controllers._known.__wrapped__))
 
 
 def test_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,6 +59,8 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["run", "igm"], "igm goes by touch; expected --tactile PORT"),
         (["run", "igm", "--emulate", "--port", "/dev/x"], "--emulate and --port /dev/x"),
         (["run", "sine", "--emulate", "--rate", "0"], "--rate is 0.0"),
+        (["run", "learned", "--emulate", "--rate", "50"], "learned runs at 20 Hz"),
+        (["run", "none.npz", "--emulate"], "policy 'none.npz': no such file"),
         (["run", "sine", "--emulate", "--speed", "9"], "speed is 9.0; expected at most 3.0"),
         (["run", "sine", "--emulate", "--torque", "nan"], "torque is nan"),
         (["run", "sine", "--emulate", "--seconds", "inf"], "--seconds is inf"),
@@ -173,6 +181,20 @@ def test_in_grasp_manipulation_turns_the_object(
     # the bare simulator turns it by 0.9 to 2.1 rad before a limit or a lost contact
     assert said["figures"]["rotation_rad"] > 0.5
     assert "Touch" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("policy", ["learned", str(policies.FOLDER / "dex5-cylinder.npz")])
+def test_a_learned_policy_turns_the_object(
+    policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", policy, "--seconds", "5", "--json", "--out", str(tmp_path), *PATIENT]
+    assert main(["hardware", *words]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["outcome"], said["torque"]) == ("idle", "off")
+    # in the simulator it turns it all the way round in 20 s
+    assert said["figures"]["rotation_rad"] > 1.0
+    assert "object_lost_at_s" not in said["figures"]
+    assert read_log(tmp_path / "run.mcap").run["rate_hz"] == 20.0
 
 
 def test_a_log_without_ticks_gives_a_page(tmp_path: Path) -> None:

@@ -1,0 +1,112 @@
+"""What `dexctl hardware run` makes of a controller's name, and what it says of a run."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl import controllers
+from dexctl.exceptions import InvalidInput
+from dexctl.sim import trial
+from hardware.cli.options import HandOptions, busy
+from hardware.cli.run import make_controller
+from hardware.log import LogWriter, read_log
+from hardware.machine import Event, State
+from hardware.report import DROP_DISTANCE, build, figures_of_merit
+from hardware.run_report import RunReport
+from learning import policies
+
+
+@pytest.fixture
+def learned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The shipped policies' name, known without an installation too."""
+    point = EntryPoint("learned", "learning.policies:learned", controllers.GROUP)
+    monkeypatch.setattr(controllers, "entry_points", lambda group: [point])
+    monkeypatch.setattr(controllers, "_known", cache(controllers._known.__wrapped__))
+
+
+def twenty(hand: dexctl.HandModel, control_period: float) -> dexctl.Controller:
+    """As a function of the user's that returns a policy made for another rate."""
+    return policies.load("dex5-cylinder", hand=hand)
+
+
+@pytest.mark.usefixtures("learned")
+def test_the_rate_is_the_controllers(dex5: dexctl.HandModel) -> None:
+    for name, rate, period in (
+        ("igm", None, 0.02),
+        ("sine", None, 0.02),
+        ("igm", 100.0, 0.01),
+        ("learned", None, 0.05),
+        ("learned", 20.0, 0.05),
+        (str(policies.FOLDER / "dex5-cylinder.npz"), None, 0.05),
+        (f"{__name__}:twenty", None, 0.05),
+    ):
+        assert make_controller(name, dex5, rate).control_period == pytest.approx(period), name
+
+
+@pytest.mark.usefixtures("learned")
+@pytest.mark.parametrize("name", ["learned", f"{__name__}:twenty"])
+def test_another_rate_than_the_controllers(name: str, dex5: dexctl.HandModel) -> None:
+    with pytest.raises(InvalidInput, match=rf"--rate is 50; {name} runs at 20 Hz"):
+        make_controller(name, dex5, 50.0)
+
+
+@pytest.mark.usefixtures("learned")
+def test_a_policy_file_that_is_none(dex5: dexctl.HandModel, tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_bytes(b"no policy")
+    with pytest.raises(InvalidInput, match=r"a\.npz' is not a policy file"):
+        make_controller(str(tmp_path / "a.npz"), dex5)
+    with pytest.raises(InvalidInput, match=r"none\.npz': no such file"):
+        make_controller(str(tmp_path / "none.npz"), dex5)
+
+
+def test_policies_without_an_installation(
+    dex5: dexctl.HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controllers, "names", lambda: ("igm",))
+    with pytest.raises(InvalidInput, match="need dexctl to be installed"):
+        make_controller("learned", dex5)
+
+
+def test_rotation_is_counted_until_the_object_is_lost(tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="needs the extra 'hardware'")
+    angle = 0.1 * np.arange(5)  # and in the fourth tick it has fallen
+    zeros = np.zeros(5)
+    turned = np.stack([np.cos(angle / 2), zeros, zeros, np.sin(angle / 2)], axis=1)
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for i in range(5):
+            log.write(
+                "/tick",
+                {
+                    "time": 0.5 * i,
+                    "state": "run",
+                    **{key: [0.0, 0.0] for key in ("q", "q_target", "torque")},
+                    "fresh": [True, True],
+                    "in_contact": [True],
+                    "contact_force": [2.0],
+                    "lateness": 0.0,
+                    "object_position": [0.0, 0.0, 0.13 if i < 3 else 0.0],
+                    "object_quaternion": turned[i],
+                },
+            )
+    found = read_log(tmp_path / "a.mcap")
+    assert figures_of_merit(found)["rotation_rad"] == pytest.approx(0.3)
+    assert figures_of_merit(found)["object_lost_at_s"] == pytest.approx(1.5)
+    assert "object_lost_at_s" in build(found)
+    assert DROP_DISTANCE == trial.DROP_DISTANCE
+
+
+def test_a_busy_machine_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    late = RunReport(outcome=State.FAULT, cause=Event.READS_LOST)
+    monkeypatch.setattr("os.getloadavg", lambda: (9.5, 9.0, 9.0))
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    assert "load 9.5 on 2 cores" in busy(HandOptions(emulate=True), late)
+    assert busy(HandOptions(), late) == ""  # a hand is no emulator
+    assert busy(HandOptions(emulate=True), RunReport(cause=Event.ALERT)) == ""
+    monkeypatch.setattr("os.getloadavg", lambda: (1.5, 1.0, 1.0))
+    assert busy(HandOptions(emulate=True), late) == ""
