@@ -7,18 +7,15 @@ A run folder holds ``config.json``, ``progress.csv``, ``tensorboard/``, ``checkp
 from __future__ import annotations
 
 import json
-import platform
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -27,17 +24,15 @@ from dexctl.exceptions import InvalidInput
 from learning import checkpoint
 from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv
 from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
-from learning.envs import FingerGaitingVectorEnv, make_vector
-from learning.envs.observation import Observation
+from learning.envs import make_vector
 from learning.exploration import POLICY, Guide
+from learning.export import Agent, actor_observation, export_policy
 from learning.files import write_text
-from learning.policy import PolicySpec, save_policy
 from learning.run_log import RunLog, Tally, who_acted
 from learning.settings import TrainConfig
 
 CONFIG_NAME = "config.json"
 POLICY_NAME = "policy.npz"
-Agent = GuidedSAC | GuidedTD3
 Report = Callable[[int, Mapping[str, float]], None]
 
 
@@ -161,12 +156,6 @@ def build(config: TrainConfig) -> Agent:
             GuidedTD3Policy, vec_env, exploration_noise=config.exploration_noise, **options
         )
     return GuidedSAC(GuidedSACPolicy, vec_env, **options)
-
-
-def actor_observation(config: TrainConfig, env: FingerGaitingVectorEnv) -> Observation:
-    """What the policy sees: the environment's observation but for the critics' own parts."""
-    whole = env.observation.to_dict()
-    return Observation.from_dict(env.hand, whole | {"parts": list(config.env.parts)})
 
 
 def _learning_rate(config: TrainConfig) -> float | Callable[[float], float]:
@@ -349,37 +338,6 @@ class _Keeper(BaseCallback):
         self._next_log = saved["next_log"]
         self._next_checkpoint = saved["next_checkpoint"]
         self._seconds, self._since = saved["seconds"], time.monotonic()
-
-
-def export_policy(
-    agent: Agent, config: TrainConfig, path: Path, figures: Mapping[str, float]
-) -> None:
-    """Write the agent's policy, which runs without torch, and its card."""
-    assert isinstance(agent.env, StableBaselinesVecEnv)
-    env = agent.env.env
-    assert isinstance(env, FingerGaitingVectorEnv)
-    spec = PolicySpec.of(env.hand, actor_observation(config, env), env.action, config.env)
-    card = {
-        "trained": config.to_dict(),
-        "steps": agent.num_timesteps,
-        "figures": dict(figures),
-        "versions": {
-            "python": platform.python_version(),
-            **{name: version(name) for name in ("numpy", "torch", "stable-baselines3", "mujoco")},
-        },
-    }
-    save_policy(path, policy_layers(agent), spec, card)
-
-
-def policy_layers(agent: Agent) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The deterministic policy as (weight, bias) pairs; ReLU between them, tanh at the end."""
-    actor = agent.averaged_actor or agent.actor
-    modules = [*actor.latent_pi, actor.mu] if isinstance(agent, GuidedSAC) else list(actor.mu)
-    return [
-        (m.weight.detach().cpu().numpy().copy(), m.bias.detach().cpu().numpy().copy())
-        for m in modules
-        if isinstance(m, torch.nn.Linear)
-    ]
 
 
 @contextmanager

@@ -25,9 +25,10 @@ from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
 from learning.cli_train import Train
 from learning.envs import EnvConfig
 from learning.exploration import GuidanceConfig, Guide
+from learning.export import policy_layers
 from learning.policy import load_policy
 from learning.settings import TrainConfig
-from learning.train import build, policy_layers, train
+from learning.train import build, train
 
 BOX = gymnasium.spaces.Box
 

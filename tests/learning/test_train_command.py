@@ -26,9 +26,10 @@ from learning import checkpoint
 from learning.cli_env_options import EnvOptions
 from learning.cli_train import Train
 from learning.envs import EnvConfig, InitialStates
+from learning.export import policy_layers
 from learning.run_log import RunLog, Tally, columns, who_acted
 from learning.settings import TrainConfig
-from learning.train import build, policy_layers, train
+from learning.train import build, train
 
 SMALL = (
     "--num-envs", "4", "--steps", "200", "--network", "16", "16", "--batch-size", "16",

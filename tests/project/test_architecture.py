@@ -64,6 +64,7 @@ DOORS = {
     "torch": [
         "learning/agents/",
         "learning/checkpoint.py",
+        "learning/export.py",
         "learning/run_log.py",
         "learning/train.py",
     ],
