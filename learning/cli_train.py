@@ -30,8 +30,8 @@ class Train:
     """rl, rl+bc, fge, vge or vge+bc."""
     controller: tuple[str, ...] = ("gait",)
     """Controllers that guide, one or several; not used by the method rl."""
-    recipe: str = "thesis"
-    """Settings that belong together: thesis, or fast, which learns to gait within 1 million steps.
+    recipe: str = "fast"
+    """Settings that belong together: fast, which learns to gait within 1 million steps, or thesis.
     Each setting given on the command line goes before the recipe's."""
     algorithm: str = "sac"
     """sac (entropy coefficient 0) or td3."""

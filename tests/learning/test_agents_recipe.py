@@ -241,7 +241,8 @@ def test_recipes_on_the_command_line() -> None:
         assert command is not None
         return command.config()
 
-    assert config() == TrainConfig(env=EnvConfig(latency=0.0))
+    assert config("--recipe", "thesis") == TrainConfig(env=EnvConfig(latency=0.0))
+    assert config() == config("--recipe", "fast") != TrainConfig()
     fast = config("--recipe", "fast", "--method", "vge+bc", "--tau", "0.1")
     assert (fast.n_step, fast.tau, fast.env.scaled, fast.layer_norm) == (5, 0.1, True, True)
     assert (fast.guidance.cloned, fast.guidance.beta) == ("visited", 10.0)

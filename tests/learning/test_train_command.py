@@ -34,6 +34,7 @@ from learning.train import build, train
 SMALL = (
     "--num-envs", "4", "--steps", "200", "--network", "16", "16", "--batch-size", "16",
     "--learning-starts", "40", "--buffer-size", "100", "--log-every", "100", "--device", "cpu",
+    "--recipe", "thesis",
 )  # fmt: skip
 
 
@@ -148,7 +149,7 @@ def test_bad_input(tmp_path: Path, arguments: str, said: str) -> None:
 
 
 def test_every_setting_of_the_environments_has_a_flag(tmp_path: Path) -> None:
-    plain = command().config().env
+    plain = command("--recipe", "thesis").config().env
     assert plain == EnvConfig()
     own = {"hand", "object", "gravity", "episode_steps", "scaled"}
     known = {field.name for field in fields(EnvOptions)}

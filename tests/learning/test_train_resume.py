@@ -28,7 +28,8 @@ from learning.exploration.guide import _unpickled
 ROOT = Path(__file__).parents[2]
 OPTIONS = shlex.split(
     "--object cylinder --num-envs 6 --episode-steps 60 --seed 3 --network 32 32 --batch-size 32 "
-    "--learning-starts 60 --buffer-size 400 --log-every 100 --checkpoint-every 200 --device cpu"
+    "--learning-starts 60 --buffer-size 400 --log-every 100 --checkpoint-every 200 --device cpu "
+    "--recipe thesis"
 )
 RUN = (
     "import sys; from dexctl.cli.parsing import parse; from learning.cli_train import Train; "
@@ -126,7 +127,8 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path: Path) -> None:
 
 def test_killed_and_resumed_with_the_fast_recipe(tmp_path: Path) -> None:
     """Returns of several steps, a mean of actors, and a learning rate that falls with the steps."""
-    options = [*OPTIONS, "--recipe", "fast", "--method", "vge+bc", "--controller", "coordinated"]
+    options = ["fast" if option == "thesis" else option for option in OPTIONS]
+    options += ["--method", "vge+bc", "--controller", "coordinated"]
     options += ["--hard-stop", "700", "--decay-start", "0.2", "--steps", "1200"]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     process = start(*options, "--out", str(killed))
