@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,10 @@ RUNS: dict[str, list[str]] = {
     "allegro.py": SHORT,
     "learner.py": [
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
+    ],
+    "learned.py": [*SHORT, "--objects", "cylinder"],
+    "learning_ablation.py": [
+        *("--steps", "300", "--episodes", "1", "--variants", "fast", "--jobs", "1"),
     ],
     "bus.py": ["--cycles", "20", "--rounds", "2"],
     "hardware_loop.py": ["--cycles", "20", "--rounds", "2", "--seconds", "0.5", *PATIENT],
@@ -51,12 +56,21 @@ def test_every_script_is_run_here() -> None:
 
 
 @pytest.mark.parametrize("script", RUNS)
-def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_script_runs(
+    script: str,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    request: pytest.FixtureRequest,
+) -> None:
     arguments = [*RUNS[script], "--out", tmp_path]
     if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
-    if script == "learner.py":
+    if script in ("learner.py", "learned.py", "learning_ablation.py"):
         pytest.importorskip("stable_baselines3", reason="needs the extra 'learning'")
+    if script == "learning_ablation.py":
+        if "train" not in {point.name for point in entry_points(group="dexctl.commands")}:
+            pytest.skip("dexctl is not installed, so its entry points are not known")
+        arguments += ["--runs", tmp_path_factory.mktemp("runs")]
     if script == "allegro.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]
     done = run(script, *arguments)
@@ -99,7 +113,8 @@ def test_bad_settings_are_refused(tmp_path: Path) -> None:
 
 
 def test_results_are_there() -> None:
-    assert {path.stem for path in (FOLDER / "results").glob("*.json")} == {
+    measured_elsewhere = {"faults"}  # by tests/hardware/test_runner_campaign.py
+    assert {path.stem for path in (FOLDER / "results").glob("*.json")} == measured_elsewhere | {
         Path(script).stem for script in RUNS
     }
 
