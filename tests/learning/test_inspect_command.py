@@ -21,14 +21,15 @@ from dexctl.cli.parsing import parse
 from dexctl.exceptions import DexctlError
 from learning import checkpoint
 from learning.cli_inspect import Inspect
-from learning.envs import EnvConfig
+from learning.envs import EnvConfig, Observation
 from learning.evaluate import Protocol
 from learning.exploration import GuidanceConfig
 from learning.inspection import open_subject, roll_out
+from learning.inspection.rollout import states_of
 from learning.inspection.training import read_training
-from learning.policy import load_policy, save_policy
+from learning.policy import Policy, load_policy, save_policy
 from learning.settings import TrainConfig
-from learning.train import train
+from learning.train import build, train
 
 SECTIONS = (
     "What it does", "A typical episode", "How the fingers take turns", "How sound the grasp is",
@@ -215,7 +216,7 @@ def test_bad_input(run_folder: Path, tmp_path: Path) -> None:
     torch.save({"format": 99}, old / checkpoint.NAME)
     cases = [
         ((str(tmp_path / "none"),), "is not there, and no controller; expected a run folder"),
-        (("coordinate",), r"or one of igm, switch, gait, coordinated, hold$"),
+        (("coordinate",), r"or one of igm, switch, gait, coordinated, hold\b"),
         ((str(broken),), "is not a policy file"),
         ((str(tmp_path / "none.npz"),), "no such file"),
         ((str(empty),), "is no run folder: there is no config.json in it"),
@@ -235,6 +236,40 @@ def test_bad_input(run_folder: Path, tmp_path: Path) -> None:
             run(*arguments, "--out", str(out))
         assert "\n" not in str(caught.value)
     assert not out.exists()
+
+
+def test_critics_that_see_more_than_the_policy(tmp_path: Path) -> None:
+    """p_psi against the run's own networks: the kept policy's actions, the critics' observation."""
+    import torch
+
+    config = TrainConfig(
+        env=EnvConfig(object="cylinder", threads=1, parts=("q", "touch"), scaled=True),
+        controllers=("igm",), steps=240, num_envs=4, network=(16, 16), batch_size=16,
+        learning_starts=40, buffer_size=240, device="cpu", critic_parts=("object_position",),
+        layer_norm=True, n_step=3, policy_average=0.9, learning_rate=1e-2,
+    )  # fmt: skip
+    train(config, tmp_path / "run")
+    subject = open_subject(str(tmp_path / "run"))
+    found = roll_out(subject, "cylinder", Protocol(episodes=2, seconds=0.5))
+    assert found.valued is not None
+    agent = build(config)
+    agent.policy.load_state_dict(checkpoint.read(tmp_path / "run")["policy"])
+    assert isinstance(subject.controller, Policy)
+    states = states_of(found.trace)
+    own = subject.controller.observation
+    more = Observation.from_dict(
+        subject.controller.hand, {**own.to_dict(), "parts": ["object_position"]}
+    )
+    seen = np.concatenate([own(states), more(states)], axis=-1)
+    kept = subject.controller.predict(own(states))
+    with torch.no_grad():
+        obs = torch.as_tensor(seen.reshape(-1, 23), dtype=torch.float32)
+        action = torch.as_tensor(kept.reshape(-1, 15), dtype=torch.float32)
+        least = torch.cat(agent.critic(obs, action), dim=1).min(dim=1).values.numpy()
+        last = agent.actor(obs, deterministic=True).numpy()
+    assert found.valued.values[..., 0].ravel() == pytest.approx(least, abs=1e-5)
+    assert np.abs(last - action.numpy()).max() > 1e-3  # the mean of actors, not the last one
+    agent.env.close()  # type: ignore[union-attr]
 
 
 def test_a_run_without_checkpoint_or_with_an_old_log(run_folder: Path, tmp_path: Path) -> None:
