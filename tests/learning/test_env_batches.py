@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -283,6 +284,43 @@ def test_pictures() -> None:
     assert picture is not None
     assert picture.shape == (600, 800, 3)
     assert picture.std() > 5
+    env.close()
+
+
+def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a window that only counts; the real one needs a display."""
+    shown: list[str] = []
+
+    class Window:
+        def __init__(self, scene: Any) -> None:
+            shown.append("open")
+
+        def __call__(self, sim: Any) -> None:
+            shown.append("draw")
+
+        def close(self) -> None:
+            shown.append("close")
+
+    monkeypatch.setattr("dexctl.sim.Viewer", Window)
+    env = FingerGaitingEnv(SHORT, render_mode="human")
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(np.zeros(15))
+    env.close()
+    assert shown[0] == "open" and shown[-1] == "close"
+    assert shown.count("draw") >= 2 and shown.count("open") == 1
+
+
+def test_without_a_display_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    if sys.platform != "linux":
+        pytest.skip("other systems do not tell")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    env = FingerGaitingEnv(SHORT, render_mode="human")
+    env.reset(seed=0)
+    with pytest.raises(SimulationError, match="the viewer needs a display") as caught:
+        env.step(np.zeros(15))
+    assert "\n" not in str(caught.value)
     env.close()
 
 
