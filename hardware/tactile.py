@@ -16,6 +16,7 @@ too old is marked stale and counts as no contact: it is never handed out again a
 
 from __future__ import annotations
 
+import os
 import time
 from typing import Any, NamedTuple, Protocol
 
@@ -225,7 +226,9 @@ class SerialTactile:
         try:
             self._serial: Any = serial.Serial(port, baudrate, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError
-            raise InvalidInput(f"cannot open the tactile port {port!r}: {error}") from None
+            number = getattr(error, "errno", None)
+            why = os.strerror(number) if number else error
+            raise InvalidInput(f"cannot open the tactile port {port!r}: {why}") from None
         self._parser = LineParser(n_fingers)
         self._trusted_force, self._most_age = trusted_force, most_age
         self.lost = False

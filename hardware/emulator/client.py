@@ -74,10 +74,12 @@ class Emulator:
         command += ["--manual"] * manual + ["--no-fast"] * (not fast)
         self._lock = threading.Lock()
         self._line = b""
+        # a session of its own: Ctrl-C in the terminal is for the run, and it may still be starting
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            start_new_session=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )
         try:

@@ -42,6 +42,11 @@ def test_it_ends_with_its_block() -> None:
         emulator.state()
 
 
+def test_ctrl_c_in_the_terminal_is_not_for_it() -> None:
+    with Emulator(1) as emulator:  # from its first moment on, not only once it ignores SIGINT
+        assert os.getsid(emulator.pid) == emulator.pid != os.getsid(0)
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 def test_it_ends_when_its_starter_is_killed() -> None:
     script = (
