@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import json
 import platform
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -31,6 +28,7 @@ from learning.envs import FingerGaitingVectorEnv, make_vector
 from learning.envs.observation import Observation
 from learning.exploration import POLICY, Guide
 from learning.files import write_text
+from learning.interruption import interruptible
 from learning.policy import PolicySpec, save_policy
 from learning.run_log import RunLog, Tally, who_acted
 from learning.settings import TrainConfig
@@ -207,7 +205,7 @@ def _run(
         left = config.steps - agent.num_timesteps
         if left > 0:
             try:
-                with _interruptible(keeper):
+                with interruptible(keeper):
                     agent.learn(left, callback=keeper, reset_num_timesteps=False)
             except (InvalidInput, ValueError) as error:  # of actions or values that are not finite
                 if agent.diverged:
@@ -380,27 +378,6 @@ def policy_layers(agent: Agent) -> list[tuple[np.ndarray, np.ndarray]]:
         for m in modules
         if isinstance(m, torch.nn.Linear)
     ]
-
-
-@contextmanager
-def _interruptible(keeper: _Keeper) -> Iterator[None]:
-    """Ctrl-C and SIGTERM save a checkpoint first; a second one does not wait for it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = {}
-
-    def stop(number: int, frame: object) -> None:
-        keeper.stop = True
-        signal.signal(number, previous[number])
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        previous[number] = signal.signal(number, stop)
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def _guides(config: TrainConfig) -> tuple[str, ...]:
