@@ -7,11 +7,8 @@ A run folder holds ``config.json``, ``progress.csv``, ``tensorboard/``, ``checkp
 from __future__ import annotations
 
 import json
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +25,7 @@ from learning.envs import make_vector
 from learning.exploration import POLICY, Guide
 from learning.export import Agent, actor_observation, export_policy
 from learning.files import write_text
+from learning.interruption import interruptible
 from learning.run_log import RunLog, Tally, who_acted
 from learning.settings import TrainConfig
 
@@ -196,7 +194,7 @@ def _run(
         left = config.steps - agent.num_timesteps
         if left > 0:
             try:
-                with _interruptible(keeper):
+                with interruptible(keeper):
                     agent.learn(left, callback=keeper, reset_num_timesteps=False)
             except (InvalidInput, ValueError) as error:  # of actions or values that are not finite
                 if agent.diverged:
@@ -338,27 +336,6 @@ class _Keeper(BaseCallback):
         self._next_log = saved["next_log"]
         self._next_checkpoint = saved["next_checkpoint"]
         self._seconds, self._since = saved["seconds"], time.monotonic()
-
-
-@contextmanager
-def _interruptible(keeper: _Keeper) -> Iterator[None]:
-    """Ctrl-C and SIGTERM save a checkpoint first; a second one does not wait for it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = {}
-
-    def stop(number: int, frame: object) -> None:
-        keeper.stop = True
-        signal.signal(number, previous[number])
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        previous[number] = signal.signal(number, stop)
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def _guides(config: TrainConfig) -> tuple[str, ...]:
