@@ -185,6 +185,8 @@ def test_ctrl_c_at_a_prompt_and_in_a_run(
     shell = Terminal("calibrate", *words, "--out", str(tmp_path / "c.toml"))
     terminal.append(shell)
     shell.wait_for("put all joints at zero")
+    # between printing its prompt and waiting for input Python only notes a signal, until Enter
+    time.sleep(1.0)
     shell.process.send_signal(signal.SIGINT)
     assert shell.finish()[0] == 130
     assert not (tmp_path / "c.toml").exists() and not any(emulator.state()["torque_on"])
