@@ -15,6 +15,8 @@ from typing import Any
 
 import tyro
 
+from learning.sweep.table import caption, markdown_table
+
 BEGIN, END = "<!-- figures:begin -->", "<!-- figures:end -->"
 ROOT = Path(__file__).resolve().parents[1]
 # in the order of the table; tables of those that are "open" stand there for all to see
@@ -31,8 +33,10 @@ ORDER = {
     "bus": "folded",
     "allegro": "folded",
     "ablation": "folded",
+    "learning_ablation": "folded",
     "robustness": "folded",
 }
+SWEEP = "learning_table"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +57,13 @@ def load(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(path.read_text()) for path in paths if path.is_file()]
 
 
-def text(results: Sequence[dict[str, Any]]) -> str:
+def load_sweep(folder: Path) -> dict[str, Any] | None:
+    """The results of the sweep over methods; None where they are not there."""
+    path = folder / SWEEP / "results.json"
+    return json.loads(path.read_text()) if path.is_file() else None
+
+
+def text(results: Sequence[dict[str, Any]], sweep: dict[str, Any] | None = None) -> str:
     """What stands between the comments."""
     parts = [_measured_on(results), _figures(results)]
     for result in results:
@@ -65,12 +75,17 @@ def text(results: Sequence[dict[str, Any]]) -> str:
             else:
                 title = f"<summary>{table['title']}</summary>"
                 parts.append(f"<details>{title}\n\n{command}\n\n{body}\n\n</details>")
+        if sweep is not None and result["benchmark"] == "learned":
+            parts.append(_sweep(sweep))
     return "\n\n".join(part for part in parts if part)
 
 
 def _measured_on(results: Iterable[dict[str, Any]]) -> str:
     machines = dict.fromkeys(_machine(result["machine"]) for result in results)
-    return f"Measured on {'; '.join(machines)}. `make bench` measures all of it again."
+    return (
+        f"Measured on {'; '.join(machines)}. `make bench` measures all of it again, but for tables "
+        "that name another command."
+    )
 
 
 def _machine(machine: dict[str, Any]) -> str:
@@ -95,6 +110,14 @@ def _figures(results: Iterable[dict[str, Any]]) -> str:
         for figure in result["figures"]
     ]
     return _table(["What", "Measured", "Goal", "Reached", "In `benchmarks/`"], rows)
+
+
+def _sweep(found: dict[str, Any]) -> str:
+    command = f"`dexctl sweep benchmarks/{SWEEP}.toml`"
+    return (
+        f"Methods of exploration and what guided them, the learned policy alone ({command}):\n\n"
+        f"{markdown_table(found)}\n\n{caption(found)}"
+    )
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -126,7 +149,7 @@ def main() -> int:
         return 2
     old = given.readme.read_text()
     try:
-        new = renewed(old, text(results))
+        new = renewed(old, text(results, load_sweep(given.results)))
     except ValueError as error:
         print(f"{given.readme}: {error}", file=sys.stderr)
         return 2
