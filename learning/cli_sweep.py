@@ -127,7 +127,7 @@ def _print(found: dict[str, Any]) -> None:
     header, rows = table(found, titles=False)
     shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in header:
-        shown.add_column(heading)
+        shown.add_column(heading, overflow="fold")
     for row in rows:
         shown.add_row(*row)
     console.print(f"[bold]{found['name']}[/bold]\n")
