@@ -1,0 +1,200 @@
+"""What each part of the recipe "fast" brings: the same training with one part changed.
+
+All trainings are guided to their end, where the weight of cloning has fallen to zero; then the
+policy is evaluated alone. So the figures say how soon a policy has learned, not how good it gets.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from common import FULL_TURN, Settings, earlier, over_seeds, progress, settings, share, write
+
+from learning.envs import EnvConfig
+from learning.evaluate import Protocol, evaluate
+from learning.exploration.guide import GuidanceConfig
+from learning.policy import load_policy
+from learning.recipes import recipe
+from learning.settings import TrainConfig
+
+OBJECT = "cylinder"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One training.
+
+    Attributes:
+        title: what people read.
+        recipe: what it begins with.
+        method: of exploration.
+        env, guidance, training: settings in place of the recipe's; what is None becomes the
+            default, which is the thesis's.
+    """
+
+    title: str
+    recipe: str = "fast"
+    method: str = "vge+bc"
+    env: tuple[tuple[str, Any], ...] = ()
+    guidance: tuple[tuple[str, Any], ...] = ()
+    training: tuple[tuple[str, Any], ...] = ()
+
+
+def _default(*names: str) -> tuple[tuple[str, Any], ...]:
+    return tuple((name, None) for name in names)
+
+
+VARIANTS = {
+    "fast": Variant("recipe `fast`"),
+    "no_cloning": Variant("no cloning (VGE)", method="vge"),
+    "acted": Variant("cloned only where the controller acted", guidance=_default("cloned")),
+    "thesis_cloning": Variant(
+        "cloning as in the thesis",
+        guidance=_default("cloned", "cloning", "cloning_weight", "beta"),
+    ),
+    "thesis_guide": Variant("guided by the thesis's gait", training=(("controllers", ("gait",)),)),
+    "one_step": Variant("one-step returns", training=_default("n_step")),
+    "slow": Variant("learning rate 3e-4, tau 0.005", training=_default("learning_rate", "tau")),
+    "blind_critics": Variant("critics see what the policy sees", training=_default("critic_parts")),
+    "no_norm": Variant("no layer normalisation", training=_default("layer_norm")),
+    "unscaled": Variant("observations in SI units", env=_default("scaled")),
+    "more_updates": Variant("twice the updates", training=(("gradient_steps", 4),)),
+    "td3": Variant("TD3", training=(("algorithm", "td3"),)),
+    "thesis": Variant("recipe `thesis`, the same guide", recipe="thesis"),
+    "last_weights": Variant("the last weights, no mean", training=_default("policy_average")),
+    "long_horizon": Variant("discount 0.995", training=(("gamma", 0.995),)),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    steps: int = 200_000
+    """Environment steps of each training."""
+    trials: int = 100
+    """Episodes of each policy alone."""
+    seconds: float = 60.0
+    """Of each."""
+    seeds: int = 1
+    """Trainings of each variant."""
+    variants: tuple[str, ...] = tuple(VARIANTS)
+    """Which."""
+    jobs: int = 2
+    """Trainings at once."""
+    num_envs: int = 128
+    """Environments of each training."""
+    runs: Path = Path("out/learning_ablation")
+    """Folder of the trainings; those that are there are not done again, or go on."""
+
+
+def config(variant: Variant, seed: int, given: Options) -> TrainConfig:
+    """Everything that a training is."""
+    begin = recipe(variant.recipe, variant.method)
+    parts = [
+        {key: value for key, value in {**one, **dict(changed)}.items() if value is not None}
+        for one, changed in zip(
+            begin, (variant.env, variant.guidance, variant.training), strict=True
+        )
+    ]
+    env, guidance, training = parts
+    return TrainConfig(
+        env=EnvConfig(**{"object": OBJECT, "threads": 1, **env}),
+        guidance=replace(GuidanceConfig(**guidance), method=variant.method, hard_stop=given.steps),
+        **{
+            "controllers": ("coordinated",),
+            "steps": given.steps,
+            "num_envs": given.num_envs,
+            "seed": seed,
+            "log_every": 20_000,
+            **training,
+        },
+    )
+
+
+def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
+    """Train a variant, or go on; evaluate its policy."""
+    from learning.train import CONFIG_NAME, read_config, resume, train
+
+    folder = given.runs / f"{name}-{seed}"
+    wanted = config(VARIANTS[name], seed, given)
+    if (folder / CONFIG_NAME).exists() and read_config(folder) == wanted:
+        found = resume(folder)
+    else:
+        found = train(wanted, folder)
+    policy = load_policy(found["policy"])
+    protocol = Protocol(episodes=given.trials, seconds=given.seconds, threads=1)
+    alone = evaluate(policy, OBJECT, protocol)
+    return {
+        "variant": name,
+        "training_seed": seed,
+        "config": wanted.to_dict(),
+        "steps": found["steps"],
+        "training_seconds": round(float(found["last"]["seconds"]), 1),
+        "rotation_rad": over_seeds(alone.rotation),
+        "full_turn": share(alone.rotation >= FULL_TURN),
+        "dropped": share(alone.dropped),
+        "return_mean": round(float(alone.returns.mean()), 2),
+    }
+
+
+def lines(rows: list[dict[str, Any]]) -> Iterator[list[str]]:
+    """Of the table; seeds stand beside each other."""
+    for name, variant in VARIANTS.items():
+        each = [row for row in rows if row["variant"] == name]
+        if each:
+            yield [
+                variant.title,
+                ", ".join(f"{row['rotation_rad']['median']:.1f}" for row in each),
+                ", ".join(f"{100 * row['full_turn']['share']:.0f} %" for row in each),
+                ", ".join(f"{100 * row['dropped']['share']:.0f} %" for row in each),
+                ", ".join(f"{row['return_mean']:.0f}" for row in each),
+            ]
+
+
+def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
+    """Write the result with the rows so far."""
+    seeds = ", ".join(str(given.seed + k) for k in range(given.seeds))
+    table = {
+        "title": f"The recipe `fast` with one part changed: {OBJECT}, {given.steps:,} steps, all "
+        f"guided, seed {seeds}; the policy alone in {given.trials} episodes of {given.seconds:g} s",
+        "header": ["", "rotation [rad]", "full turn", "dropped", "return"],
+        "rows": list(lines(rows)),
+    }
+    write("learning_ablation", given, [], [table], trials=rows, say=say)
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    order = [(name, given.seed + k) for k in range(given.seeds) for name in given.variants]
+    rows = {
+        (row["variant"], row["training_seed"]): row
+        for row in earlier("learning_ablation", given)
+        if row["variant"] in VARIANTS
+        and TrainConfig.from_dict(row["config"])
+        == config(VARIANTS[row["variant"]], row["training_seed"], given)
+    }
+    # each in a process of its own: random states and thread counts belong to the process
+    with ProcessPoolExecutor(
+        given.jobs, multiprocessing.get_context("spawn"), max_tasks_per_child=1
+    ) as pool:
+        waiting = {pool.submit(measure, *one, given): one for one in order if one not in rows}
+        for done in as_completed(waiting):
+            one = waiting[done]
+            try:
+                rows[one] = done.result()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+            save([rows[each] for each in order if each in rows], given, say=False)
+            progress(f"{one[0]}, seed {one[1]}: {rows[one]['rotation_rad']['median']:.1f} rad")
+    save([rows[each] for each in order], given, say=True)
+
+
+if __name__ == "__main__":
+    main()
