@@ -7,14 +7,17 @@ policy is evaluated alone. So the figures say how soon a policy has learned, not
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Iterator
+import os
+import sys
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from common import FULL_TURN, Settings, earlier, over_seeds, progress, settings, share, write
 
+from dexctl.exceptions import UnknownName
 from learning.envs import EnvConfig
 from learning.evaluate import Protocol, evaluate
 from learning.exploration.guide import GuidanceConfig
@@ -40,13 +43,13 @@ class Variant:
     title: str
     recipe: str = "fast"
     method: str = "vge+bc"
-    env: tuple[tuple[str, Any], ...] = ()
-    guidance: tuple[tuple[str, Any], ...] = ()
-    training: tuple[tuple[str, Any], ...] = ()
+    env: Mapping[str, Any] = field(default_factory=dict)
+    guidance: Mapping[str, Any] = field(default_factory=dict)
+    training: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _default(*names: str) -> tuple[tuple[str, Any], ...]:
-    return tuple((name, None) for name in names)
+def _default(*names: str) -> dict[str, Any]:
+    return dict.fromkeys(names)
 
 
 VARIANTS = {
@@ -57,17 +60,17 @@ VARIANTS = {
         "cloning as in the thesis",
         guidance=_default("cloned", "cloning", "cloning_weight", "beta"),
     ),
-    "thesis_guide": Variant("guided by the thesis's gait", training=(("controllers", ("gait",)),)),
+    "thesis_guide": Variant("guided by the thesis's gait", training={"controllers": ("gait",)}),
     "one_step": Variant("one-step returns", training=_default("n_step")),
     "slow": Variant("learning rate 3e-4, tau 0.005", training=_default("learning_rate", "tau")),
     "blind_critics": Variant("critics see what the policy sees", training=_default("critic_parts")),
     "no_norm": Variant("no layer normalisation", training=_default("layer_norm")),
     "unscaled": Variant("observations in SI units", env=_default("scaled")),
-    "more_updates": Variant("twice the updates", training=(("gradient_steps", 4),)),
-    "td3": Variant("TD3", training=(("algorithm", "td3"),)),
+    "more_updates": Variant("twice the updates", training={"gradient_steps": 4}),
+    "td3": Variant("TD3", training={"algorithm": "td3"}),
     "thesis": Variant("recipe `thesis`, the same guide", recipe="thesis"),
     "last_weights": Variant("the last weights, no mean", training=_default("policy_average")),
-    "long_horizon": Variant("discount 0.995", training=(("gamma", 0.995),)),
+    "long_horizon": Variant("discount 0.995", training={"gamma": 0.995}),
 }
 
 
@@ -93,11 +96,14 @@ class Options(Settings):
     """Folder of the trainings; those that are there are not done again, or go on."""
 
 
-def config(variant: Variant, seed: int, given: Options) -> TrainConfig:
-    """Everything that a training is."""
+def config(name: str, seed: int, given: Options) -> TrainConfig:
+    """Everything that the training of a variant is."""
+    if name not in VARIANTS:
+        raise UnknownName("variant", name, VARIANTS)
+    variant = VARIANTS[name]
     begin = recipe(variant.recipe, variant.method)
     parts = [
-        {key: value for key, value in {**one, **dict(changed)}.items() if value is not None}
+        {key: value for key, value in {**one, **changed}.items() if value is not None}
         for one, changed in zip(
             begin, (variant.env, variant.guidance, variant.training), strict=True
         )
@@ -122,11 +128,14 @@ def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
     from learning.train import CONFIG_NAME, read_config, resume, train
 
     folder = given.runs / f"{name}-{seed}"
-    wanted = config(VARIANTS[name], seed, given)
-    if (folder / CONFIG_NAME).exists() and read_config(folder) == wanted:
-        found = resume(folder)
-    else:
-        found = train(wanted, folder)
+    wanted = config(name, seed, given)
+    try:
+        if (folder / CONFIG_NAME).exists() and read_config(folder) == wanted:
+            found = resume(folder)
+        else:
+            found = train(wanted, folder)
+    except KeyboardInterrupt:  # its checkpoint is saved; the pool would give it the next training
+        os._exit(130)
     policy = load_policy(found["policy"])
     protocol = Protocol(episodes=given.trials, seconds=given.seconds, threads=1)
     alone = evaluate(policy, OBJECT, protocol)
@@ -157,43 +166,46 @@ def lines(rows: list[dict[str, Any]]) -> Iterator[list[str]]:
             ]
 
 
-def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
+def save(rows: dict[tuple[str, int], dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the rows so far."""
+    order = list(VARIANTS)
+    trials = [rows[one] for one in sorted(rows, key=lambda one: (order.index(one[0]), one[1]))]
     seeds = ", ".join(str(given.seed + k) for k in range(given.seeds))
     table = {
         "title": f"The recipe `fast` with one part changed: {OBJECT}, {given.steps:,} steps, all "
         f"guided, seed {seeds}; the policy alone in {given.trials} episodes of {given.seconds:g} s",
         "header": ["", "rotation [rad]", "full turn", "dropped", "return"],
-        "rows": list(lines(rows)),
+        "rows": list(lines(trials)),
     }
-    write("learning_ablation", given, [], [table], trials=rows, say=say)
+    write("learning_ablation", given, [], [table], trials=trials, say=say)
 
 
 def main() -> None:
     given = settings(Options, __doc__)
     order = [(name, given.seed + k) for k in range(given.seeds) for name in given.variants]
-    rows = {
-        (row["variant"], row["training_seed"]): row
-        for row in earlier("learning_ablation", given)
-        if row["variant"] in VARIANTS
-        and TrainConfig.from_dict(row["config"])
-        == config(VARIANTS[row["variant"]], row["training_seed"], given)
-    }
+    for one in order:  # what is wrong with the settings shows before any training
+        config(*one, given)
+    rows = {}
+    for row in earlier("learning_ablation", given):
+        one = row["variant"], row["training_seed"]
+        if one[0] in VARIANTS and TrainConfig.from_dict(row["config"]) == config(*one, given):
+            rows[one] = row
     # each in a process of its own: random states and thread counts belong to the process
-    with ProcessPoolExecutor(
-        given.jobs, multiprocessing.get_context("spawn"), max_tasks_per_child=1
-    ) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(given.jobs, spawn, max_tasks_per_child=1)
+    try:
         waiting = {pool.submit(measure, *one, given): one for one in order if one not in rows}
         for done in as_completed(waiting):
             one = waiting[done]
-            try:
-                rows[one] = done.result()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-            save([rows[each] for each in order if each in rows], given, say=False)
+            rows[one] = done.result()
+            save(rows, given, say=False)
             progress(f"{one[0]}, seed {one[1]}: {rows[one]['rotation_rad']['median']:.1f} rad")
-    save([rows[each] for each in order], given, say=True)
+    except KeyboardInterrupt:
+        progress("interrupted; the same command with --resume goes on")
+        sys.exit(130)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    save(rows, given, say=True)
 
 
 if __name__ == "__main__":
