@@ -1,11 +1,50 @@
-"""SetPointLimits: keeps set-point changes within what a hand should be asked to do."""
+"""How far and how fast set-points may move: for controllers, the simulator and the servo hand."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.state import Floats
+from dexctl.validation import check_numbers
+
+REAL_SPEED, REAL_TORQUE, REAL_LATENCY = 0.6, 0.5, 0.05
+"""Of the thesis's hand (chapter 5, "Hardware") [rad/s], [N m], [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandLimits:
+    """What a real hand makes of its set-points: slow, weak and late.
+
+    Raises:
+        InvalidInput: a number out of range.
+    """
+
+    speed_limit: float | None = None
+    """Fastest set-point [rad/s]; none: as the controller asks."""
+    torque_limit: float | None = None
+    """Largest joint torque [N m]; none: as the hand's file has it."""
+    action_latency: float = 0.0
+    """From a set-point to its effect [s]."""
+
+    def __post_init__(self) -> None:
+        given = [n for n in ("speed_limit", "torque_limit") if getattr(self, n) is not None]
+        check_numbers(self, positive=tuple(given), not_negative=("action_latency",))
+        if self.action_latency > 10.0:
+            raise InvalidInput(f"action_latency is {self.action_latency}; expected 0 to 10 s")
+
+    def __bool__(self) -> bool:
+        return self != HandLimits()
+
+    @classmethod
+    def real(cls) -> HandLimits:
+        """Those of the thesis's hand."""
+        return cls(
+            speed_limit=REAL_SPEED, torque_limit=REAL_TORQUE, action_latency=REAL_LATENCY
+        )
 
 
 class SetPointLimits:
