@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import InvalidInput, UnknownName
 
 
 def check_numbers(
@@ -31,6 +33,12 @@ def check_numbers(
             number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
             if not (number and np.isfinite(value) and low <= value <= high):
                 raise InvalidInput(f"{name} is {value!r}; expected {wanted}")
+
+
+def check_name(what: str, value: object, known: Sequence[object]) -> None:
+    """Raise UnknownName where ``value`` is none of those known."""
+    if value not in known:
+        raise UnknownName(what, str(value), [str(one) for one in known])
 
 
 def check_whole(config: object, **least: int) -> None:

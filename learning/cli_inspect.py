@@ -105,7 +105,7 @@ class Inspect:
         self, folder: Path, found: Inspection, gravity: str | tuple[float, ...]
     ) -> dict[str, Any]:
         from dexctl.report.machine import machine
-        from learning.files import write_text
+        from dexctl.files import write_text
         from learning.inspection.report import build
 
         scene = found.rollouts.scene

@@ -96,7 +96,7 @@ class Sweep:
         """Write and print what there is; 1 where something failed."""
         from dexctl.report.machine import machine
         from learning.cli_sweep_figure import draw
-        from learning.files import write_text
+        from dexctl.files import write_text
         from learning.sweep.results import collect, write_csv
         from learning.sweep.table import caption, markdown_table
 

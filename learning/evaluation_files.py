@@ -11,7 +11,7 @@ import numpy as np
 
 from learning.envs.noise import SensorNoise
 from learning.evaluate import Evaluation
-from learning.files import aside
+from dexctl.files import aside
 from learning.statistics import wilson
 from learning.transfer import Transfer
 

@@ -24,7 +24,7 @@ from dexctl.hand import HandModel
 from dexctl.state import Floats, GraspState
 from learning.envs.action import SetPointAction
 from learning.envs.observation import Observation, check_parts
-from learning.files import aside, write_text
+from dexctl.files import aside, write_text
 
 if TYPE_CHECKING:
     from learning.envs.config import EnvConfig
