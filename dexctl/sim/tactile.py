@@ -106,6 +106,6 @@ class TouchSensors:
         normal = weighted[..., 3:]
         length = np.sqrt(np.einsum("nfk,nfk->nf", normal, normal))
         normal = normal / np.where(length > 1e-9, length, 1.0)[..., None]
-        other = data[:, count:].reshape(len(data), -1, 3)
+        other = data[:, count:].reshape(len(data), (self._end - self._middle) // 3, 3)
         other_force = np.sqrt(np.einsum("nbk,nbk->nb", other, other)).sum(-1)
         return TouchReading(touch, weighted[..., :3], normal, force * touch, other_force)
