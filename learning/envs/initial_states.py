@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.exceptions import InvalidInput
+from dexctl.files import aside
 from dexctl.hand import HandModel
 from dexctl.state import Floats
-from learning.files import aside
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
