@@ -15,7 +15,7 @@ from learning.training import checkpoint
 from learning.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from learning.policy import Policy
+    from learning.policies import Policy
     from learning.settings import TrainConfig
 
 _ROWS = 4096  # states valued at a time

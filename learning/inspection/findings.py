@@ -18,7 +18,7 @@ from learning.inspection.onset import CAUSES, Drop, DropRule, find_drops, moment
 from learning.inspection.rollout import Rollouts, roll_out
 from learning.inspection.subject import Subject
 from learning.inspection.training import TrainingLog, read_training
-from learning.policy import Policy
+from learning.policies import Policy
 from learning.training.run_folder import RunFolder
 
 MARGIN_EVERY = 2.5

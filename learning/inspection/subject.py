@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from dexctl import controllers, hands
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
-from learning.policy import Policy, load_policy
+from learning.policies import Policy, load_policy
 from learning.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def open_subject(name: str, hand: str | None = None) -> Subject:
         return _open_run(name, path, hand)
     if path.suffix == ".npz":
         remark = "A policy file has no critic: p_psi needs the run folder, with its checkpoint."
-        return Subject(name, "policy", load_policy(path, hand=hand), remarks=(remark,))
+        return Subject(name, "policy", policies.load(path, hand=hand), remarks=(remark,))
     if name in controllers.names():
         made = controllers.make(name, hands.load(hand or "dex5"))
         remark = "A controller has no critic, so there is no p_psi."
