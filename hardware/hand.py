@@ -21,9 +21,9 @@ from hardware.bus import Bus
 from hardware.calibration import Calibration
 from hardware.exceptions import BusError, PortLost, ServoError
 from hardware.limits import LimitedGoal, Limits, limit_goal
-from hardware.machine import Torque
 from hardware.registers import OperatingMode, Register
 from hardware.samples import Health, JointSample, TorqueReport
+from hardware.state_machine import Torque
 from hardware.tactile import NoTactile, TactileReading, TactileSource
 from hardware.ticker import Ticker
 from hardware.units import ServoGains

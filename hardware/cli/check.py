@@ -19,8 +19,8 @@ from hardware.bus import Bus
 from hardware.cli.options import HandOptions
 from hardware.exceptions import ServoError
 from hardware.hand import ServoHand
-from hardware.machine import Torque
 from hardware.registers import MODEL_NUMBER, describe_hardware_error
+from hardware.state_machine import Torque
 from hardware.ticker import Interrupts, spread
 
 _CYCLES = 200

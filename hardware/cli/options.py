@@ -20,8 +20,8 @@ from hardware.emulated_touch import EmulatedTactile
 from hardware.emulator import Emulator
 from hardware.hand import ServoHand
 from hardware.limits import Limits
-from hardware.machine import Event
 from hardware.run_report import RunReport
+from hardware.state_machine import Event
 from hardware.tactile import SerialTactile, TactileSource
 from hardware.units import ServoGains, SimGains, to_servo
 

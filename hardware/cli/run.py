@@ -22,10 +22,10 @@ from hardware.calibration import Calibration
 from hardware.cli.options import HandOptions, Session, busy
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
-from hardware.machine import Event, State
 from hardware.motions import Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
+from hardware.state_machine import Event, State
 
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
 _BLIND = ("hold", "sine")  # controllers that do not go by touch

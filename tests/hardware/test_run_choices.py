@@ -16,9 +16,9 @@ from dexctl.sim import trial
 from hardware.cli.options import HandOptions, busy
 from hardware.cli.run import make_controller
 from hardware.log import LogWriter, read_log
-from hardware.machine import Event, State
 from hardware.report import DROP_DISTANCE, build, figures_of_merit
 from hardware.run_report import RunReport
+from hardware.state_machine import Event, State
 from learning import policies
 
 
