@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Figure, Settings, over_seeds, patient, progress, settings, share, write
+from common import Figure, Settings, over_seeds, progress, settings, share, write
 
 from dexctl import Controller, GraspState, controllers
 from dexctl.exceptions import MissingExtra
+from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE
 from dexctl.plant import Plant
 from dexctl.sim import AsReal, BatchSimulator, Scene, Tactile, run
 from dexctl.sim.trial import DROP_DISTANCE, rotation_about_z
@@ -41,8 +42,7 @@ from hardware.units import SimGains, to_servo
 HAND, OBJECT, PALM = "dex5", "cylinder", "up"
 PERIOD, TIMESTEP, SETTLE = 0.02, 0.005, 1.0
 ROW = 25  # ticks between those of the traces that are kept in the result
-LATENCY = 0.05
-GAINS = to_servo(SimGains(3.0, 0.15, 0.5, 0.6))
+GAINS = to_servo(SimGains(3.0, 0.15, REAL_TORQUE, REAL_SPEED))
 # the emulator's time stands still between ticks; the wall clock says nothing
 UNHURRIED = Limits(watchdog=2.0, state_age=100.0, command_age=100.0)
 NAMES = ("igm", "coordinated")
@@ -232,7 +232,7 @@ def simulated(scene: Scene, name: str, given: GraspSettings, *, as_real: bool) -
     with _simulator(scene, given.trials, disturbance=0.02) as sim:
         sim.reset(given.seed)
         controller.reset(given.seed)
-        plant = AsReal(Unseeing(sim), latency=LATENCY, stiffness=scene.stiffness)
+        plant = AsReal(Unseeing(sim), stiffness=scene.stiffness)
         trace = run(controller, sim, given.seconds, plant=plant if as_real else None)
     return {
         "controller": name,
@@ -254,12 +254,12 @@ def emulated(scene: Scene, name: str, given: GraspSettings, seed: int) -> dict[s
     controller = controllers.make(name, scene.hand, control_period=PERIOD)
     with (
         tempfile.TemporaryDirectory() as folder,
-        Emulator(dynamics="mujoco", hand=HAND, object=OBJECT, gravity=PALM, latency=LATENCY,
+        Emulator(dynamics="mujoco", hand=HAND, object=OBJECT, gravity=PALM, latency=REAL_LATENCY,
                  seed=seed) as emulator,
         Bus(emulator.port, range(1, 16), timeout=0.03) as bus,
     ):  # fmt: skip
         source = EmulatedTactile(emulator)
-        plant = ServoHand(bus, scene.hand, limits=patient(given.patience), gains=GAINS,
+        plant = ServoHand(bus, scene.hand, limits=Limits().patient(given.patience), gains=GAINS,
                           tactile=source, control_period=PERIOD)  # fmt: skip
         path = Path(folder) / "run.mcap"
         with LogWriter(path) as log:
@@ -349,7 +349,8 @@ def _figures(
         found.append(
             Figure(
                 f"{controllers.entry(name).title} for {given.seconds:g} s in real time through the "
-                "emulated bus, 0.6 rad/s, 0.5 N m, 0.05 s latency",
+                f"emulated bus, {REAL_SPEED:g} rad/s, {REAL_TORQUE:g} N m, {REAL_LATENCY:g} s "
+                "latency",
                 f"{len(whole)} of {len(runs)} runs to the end; {angles} rad",
                 "to the end",
                 len(whole) == len(runs),

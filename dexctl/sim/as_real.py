@@ -1,8 +1,7 @@
 """AsReal: a simulated hand with the latency, speed and torque limits of the servo hand.
 
 What a controller does in the simulator and on the servos can only be compared when both see the
-same limits. The defaults are those of the hand in the thesis (chapter 5, "Hardware"): 0.6 rad/s,
-0.5 N m, 0.05 s.
+same limits. The defaults are those of the hand in the thesis.
 """
 
 from __future__ import annotations
@@ -14,10 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
+from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE
 from dexctl.plant import Plant
 from dexctl.state import Floats, GraspState
-
-SPEED, TORQUE, LATENCY = 0.6, 0.5, 0.05
 
 
 class AsReal:
@@ -44,9 +42,9 @@ class AsReal:
         self,
         plant: Plant,
         *,
-        speed: float | None = SPEED,
-        latency: float = LATENCY,
-        torque: float | None = TORQUE,
+        speed: float | None = REAL_SPEED,
+        latency: float = REAL_LATENCY,
+        torque: float | None = REAL_TORQUE,
         stiffness: ArrayLike | None = None,
     ) -> None:
         for name, value, unit in (("speed", speed, "rad/s"), ("torque", torque, "N m")):

@@ -230,7 +230,7 @@ class _Look:
         return ""
 
     def _go(self, goal: Floats) -> None:
-        end = time.monotonic() + _MOVE / self.hand.limits.speed + _MOVE_SECONDS
+        end = time.monotonic() + _MOVE / self.hand.limits.speed_limit + _MOVE_SECONDS
         while time.monotonic() < end:
             self.hand.sample()
             self.hand.write(goal)

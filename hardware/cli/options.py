@@ -13,6 +13,7 @@ import numpy as np
 
 from dexctl import HandModel, hands
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.limits import REAL_SPEED, REAL_TORQUE
 from dexctl.state import Floats
 from hardware.bus import Bus
 from hardware.calibration import Calibration
@@ -94,29 +95,20 @@ class HandOptions:
             Calibration.load(self.calibration)
         self.gains(self.limits())
 
-    def limits(self, speed: float = 0.6, torque: float = 0.5) -> Limits:
-        """Limits with these and the patience asked for.
+    def limits(self, speed_limit: float = REAL_SPEED, torque_limit: float = REAL_TORQUE) -> Limits:
+        """Limits with these [rad/s], [N m] and the patience asked for.
 
         Raises:
             InvalidInput: out of range.
         """
-        factor = self.patience
-        if not 1.0 <= factor <= 10.0:
-            raise InvalidInput(f"--patience is {factor}; expected 1 to 10")
-        usual = Limits()
-        warn, hold = usual.overruns
-        return Limits(
-            speed=speed,
-            torque=torque,
-            command_age=factor * usual.command_age,
-            state_age=factor * usual.state_age,
-            watchdog=factor * usual.watchdog,
-            overruns=(min(factor * warn, 1.0), min(factor * hold, 1.0)),
-        )
+        limits = Limits(speed_limit=speed_limit, torque_limit=torque_limit)
+        return limits.patient(self.patience)
 
     def gains(self, limits: Limits) -> ServoGains:
         """Register values of stiffness and damping."""
-        return to_servo(SimGains(self.stiffness, self.damping, limits.torque, limits.speed))
+        return to_servo(
+            SimGains(self.stiffness, self.damping, limits.torque_limit, limits.speed_limit)
+        )
 
     def load(self) -> tuple[HandModel, Calibration]:
         """The hand and how its joints lie on the servos."""

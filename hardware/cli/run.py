@@ -17,6 +17,7 @@ from dexctl import Controller, HandModel, controllers
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import check_seconds, make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.limits import REAL_SPEED, REAL_TORQUE
 from hardware import report
 from hardware.calibration import Calibration
 from hardware.cli.options import HandOptions, Session, busy
@@ -53,9 +54,9 @@ class Run(HandOptions):
     """Which way the palm looks: up or down."""
     tactile: str | None = None
     """Serial port of the tactile fingertips."""
-    speed: float = 0.6
+    speed_limit: float = REAL_SPEED
     """Speed limit of the joints [rad/s]."""
-    torque: float = 0.5
+    torque_limit: float = REAL_TORQUE
     """Torque limit of the joints [N m]."""
     seed: int = 0
     """Of the controller."""
@@ -72,7 +73,7 @@ class Run(HandOptions):
         check_seconds(self.seconds, PERIOD if asked is None else 1.0 / asked)
         if self.gravity not in ("up", "down"):
             raise UnknownName("palm direction", self.gravity, ("up", "down"))
-        limits = self.limits(self.speed, self.torque)
+        limits = self.limits(self.speed_limit, self.torque_limit)
         blind = self.controller in _BLIND
         held = self.object
         if held == "auto":
