@@ -254,8 +254,8 @@ def emulated(scene: Scene, name: str, given: GraspSettings, seed: int) -> dict[s
     controller = controllers.make(name, scene.hand, control_period=PERIOD)
     with (
         tempfile.TemporaryDirectory() as folder,
-        Emulator(dynamics="mujoco", hand=HAND, object=OBJECT, gravity=PALM, latency=REAL_LATENCY,
-                 seed=seed) as emulator,
+        Emulator(dynamics="mujoco", hand=HAND, object=OBJECT, gravity=PALM,
+                 action_latency=REAL_LATENCY, seed=seed) as emulator,
         Bus(emulator.port, range(1, 16), timeout=0.03) as bus,
     ):  # fmt: skip
         source = EmulatedTactile(emulator)

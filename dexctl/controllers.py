@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_state
-from dexctl.exceptions import UnknownName
+from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from dexctl.state import Floats, GraspState
 
@@ -178,6 +178,43 @@ def make(
         if turned is config
         else kind(hand, turned, control_period=controller.control_period)
     )
+
+
+def resolve(
+    name: str,
+    hand: HandModel,
+    *,
+    control_period: float | None = None,
+    axis: tuple[float, float, float] | None = None,
+) -> Controller:
+    """The controller that a command is given.
+
+    Args:
+        name: one of `names`; a policy file (``.npz``); or ``module:function``, which is called as
+            ``function(hand, control_period=...)`` and returns the controller.
+        hand: the hand.
+        control_period, axis: as in `make`; ``control_period`` is left out where it is None.
+
+    Raises:
+        UnknownName: no such controller.
+        InvalidInput: no such file, module or function, or it makes something else.
+    """
+    if name.endswith(".npz"):
+        return make("learned", hand, control_period=control_period, policy=name)
+    if ":" not in name:
+        if name not in names():
+            raise UnknownName("controller", name, (*names(), "POLICY.npz", "module:function"))
+        return make(name, hand, control_period=control_period, axis=axis)
+    module, _, attribute = name.partition(":")
+    try:
+        function = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InvalidInput(f"controller is {name!r}; it cannot be loaded: {error}") from None
+    period = {} if control_period is None else {"control_period": control_period}
+    made = function(hand, **period)
+    if not isinstance(made, Controller):
+        raise InvalidInput(f"{name} made a {type(made).__name__}; expected a dexctl.Controller")
+    return made
 
 
 def _about(config: Any, axis: tuple[float, float, float]) -> Any:

@@ -59,7 +59,7 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["run", "igm"], "igm goes by touch; expected --tactile PORT"),
         (["run", "igm", "--emulate", "--port", "/dev/x"], "--emulate and --port /dev/x"),
         (["run", "sine", "--emulate", "--rate", "0"], "--rate is 0.0"),
-        (["run", "learned", "--emulate", "--rate", "50"], "learned runs at 20 Hz"),
+        (["run", "learned", "--emulate", "--rate", "50"], "was trained with 0.05"),
         (["run", "none.npz", "--emulate"], "policy 'none.npz': no such file"),
         (
             ["run", "sine", "--emulate", "--speed-limit", "9"],
