@@ -93,9 +93,26 @@ class GraspState:
             fields[name] = np.asarray(value)[index] if np.ndim(value) else value
         return GraspState(**fields)
 
+    def arrays(self) -> dict[str, Any]:
+        """Its fields by name; ``GraspState(**it)`` is the same state."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
     def without(self, fingers: Bools) -> GraspState:
         """The same state with ``fingers`` ``(..., m)`` counted as out of contact."""
         return replace(self, in_contact=self.in_contact & ~fingers)
+
+
+def merged(chosen: Bools, state: GraspState, other: GraspState) -> GraspState:
+    """``state`` in the environments chosen ``(N,)``, ``other`` elsewhere."""
+    if chosen.all():
+        return state
+    values = {}
+    for name, value in state.arrays().items():
+        if value is None:  # an object that nothing tracks
+            continue
+        a, b = np.asarray(value), np.asarray(getattr(other, name))
+        values[name] = np.where(chosen.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
+    return replace(state, **values)
 
 
 def _array(state: GraspState, name: str, kind: type = float) -> NDArray:

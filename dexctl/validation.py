@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import InvalidInput, UnknownName
 
 
 def check_numbers(
@@ -14,8 +16,13 @@ def check_numbers(
     positive: tuple[str, ...] = (),
     not_negative: tuple[str, ...] = (),
     fractions: tuple[str, ...] = (),
+    optional: tuple[str, ...] = (),
 ) -> None:
-    """Raise InvalidInput where a field of ``config`` is not such a number."""
+    """Raise InvalidInput where a field of ``config`` is not such a number.
+
+    Those that are ``optional`` are positive, or None.
+    """
+    positive += tuple(name for name in optional if getattr(config, name) is not None)
     for names, low, high, wanted in (
         (positive, np.nextafter(0.0, 1.0), np.inf, "a finite number above 0"),
         (not_negative, 0.0, np.inf, "a finite number, 0 or more"),
@@ -26,6 +33,21 @@ def check_numbers(
             number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
             if not (number and np.isfinite(value) and low <= value <= high):
                 raise InvalidInput(f"{name} is {value!r}; expected {wanted}")
+
+
+def check_name(what: str, value: object, known: Sequence[object]) -> None:
+    """Raise UnknownName where ``value`` is none of those known."""
+    if value not in known:
+        raise UnknownName(what, str(value), [str(one) for one in known])
+
+
+def check_whole(config: object, **least: int) -> None:
+    """Raise InvalidInput where a field of ``config`` is no whole number from so much on."""
+    for name, low in least.items():
+        value = getattr(config, name)
+        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        if not (whole and value >= low):
+            raise InvalidInput(f"{name} is {value!r}; expected a whole number from {low} on")
 
 
 def check_kind(config: object, **kinds: type) -> None:

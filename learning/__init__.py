@@ -28,7 +28,7 @@ def _register() -> None:
     if FINGER_GAITING not in gymnasium.registry:
         gymnasium.register(
             FINGER_GAITING,
-            entry_point="learning.envs.single:FingerGaitingEnv",
+            entry_point="learning.envs.single:ManipulationEnv",
             vector_entry_point="learning.envs.vector:make_from_options",
         )
 

@@ -121,7 +121,7 @@ class _Work:
                     sim,
                     demo.seconds,
                     demo.seed,
-                    record=film,
+                    observers=[film],
                     progress=lambda now, task=task: bar.update(task, completed=now),
                 )
                 self.trials[name] = Trial(name, trace, summarise(trace), film)

@@ -138,7 +138,7 @@ class Rotate(SceneOptions):
                 self.seconds,
                 self.seed,
                 behind=behind,
-                record=look if watch else None,
+                observers=[look] if watch else [],
                 progress=lambda now: bar.update(task, completed=now),
             )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -144,7 +144,7 @@ def run_trials(
     seed: int,
     *,
     behind: Callable[[BatchSimulator], Plant | None] | None = None,
-    record: Callable[[Any], None] | None = None,
+    observers: Sequence[Callable[[Any], None]] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Trace:
     """The standard protocol: the settled grasp, disturbed; environment i has the seed seed + i.
@@ -160,6 +160,6 @@ def run_trials(
     controller.reset(seed)
     try:
         plant = None if behind is None else behind(sim)
-        return run(controller, sim, seconds, plant=plant, record=record, progress=progress)
+        return run(controller, sim, seconds, plant=plant, observers=observers, progress=progress)
     except InvalidInput as error:  # not the user's input any more
         raise SimulationError(f"the run failed: {error}") from error

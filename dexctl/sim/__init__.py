@@ -1,30 +1,78 @@
 """The simulated plant: hands and objects in MuJoCo, tactile sensing, many at once.
 
-Importing this package loads MuJoCo; `import dexctl` does not.
+Its names are loaded when they are first used; MuJoCo comes with the first that simulates.
 """
 
-from dexctl.sim.as_real import AsReal
-from dexctl.sim.engine import VERSION as MUJOCO_VERSION
-from dexctl.sim.grouped import GroupedSimulator
-from dexctl.sim.objects import object_names
-from dexctl.sim.record import Recorder
-from dexctl.sim.scene import Scene
-from dexctl.sim.simulator import BatchSimulator, SimulatorState
-from dexctl.sim.tactile import Tactile
-from dexctl.sim.trial import Trace, run
-from dexctl.sim.viewer import Viewer
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from dexctl.limits import HandLimits
+
+if TYPE_CHECKING:
+    from dexctl.sim.engine import MUJOCO_VERSION
+    from dexctl.sim.grasp_states import GraspStates
+    from dexctl.sim.grouped import GroupedSimulator
+    from dexctl.sim.limited_hand import LimitedHand
+    from dexctl.sim.objects import object_names
+    from dexctl.sim.pushes import Push
+    from dexctl.sim.record import Recorder
+    from dexctl.sim.scene import Scene
+    from dexctl.sim.scene_config import SceneConfig
+    from dexctl.sim.sensing import Sensing
+    from dexctl.sim.simulation import Simulation
+    from dexctl.sim.simulator import BatchSimulator, SimulatorState
+    from dexctl.sim.trial import Trace, rotation_about, run
+    from dexctl.sim.viewer import Viewer
 
 __all__ = [
     "MUJOCO_VERSION",
-    "AsReal",
     "BatchSimulator",
+    "GraspStates",
     "GroupedSimulator",
+    "HandLimits",
+    "LimitedHand",
+    "Push",
     "Recorder",
     "Scene",
+    "SceneConfig",
+    "Sensing",
+    "Simulation",
     "SimulatorState",
-    "Tactile",
     "Trace",
     "Viewer",
     "object_names",
+    "rotation_about",
     "run",
 ]
+
+_HOMES = {
+    "engine": ("MUJOCO_VERSION",),
+    "grasp_states": ("GraspStates",),
+    "grouped": ("GroupedSimulator",),
+    "limited_hand": ("LimitedHand",),
+    "objects": ("object_names",),
+    "pushes": ("Push",),
+    "record": ("Recorder",),
+    "scene": ("Scene",),
+    "scene_config": ("SceneConfig",),
+    "sensing": ("Sensing",),
+    "simulation": ("Simulation",),
+    "simulator": ("BatchSimulator", "SimulatorState"),
+    "trial": ("Trace", "rotation_about", "run"),
+    "viewer": ("Viewer",),
+}
+_WITHOUT_MUJOCO = ("grasp_states", "limited_hand", "pushes", "scene_config", "sensing")
+
+
+def __getattr__(name: str) -> object:
+    """Load a name of ``_HOMES`` (PEP 562); later uses find it in the module directly."""
+    home = next((module for module, those in _HOMES.items() if name in those), None)
+    if home is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if home not in _WITHOUT_MUJOCO:
+        import_module("dexctl.sim.engine")  # says in one line why MuJoCo cannot be loaded
+    value = getattr(import_module(f"{__name__}.{home}"), name)
+    globals()[name] = value
+    return value

@@ -7,4 +7,4 @@ from __future__ import annotations
 
 from dexctl.description import load_mujoco
 
-VERSION: str = load_mujoco().__version__
+MUJOCO_VERSION: str = load_mujoco().__version__

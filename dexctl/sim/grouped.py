@@ -11,7 +11,6 @@ from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.sim import checks
 from dexctl.sim.scene import Scene
 from dexctl.sim.simulator import BatchSimulator, SimulatorState
-from dexctl.sim.tactile import Tactile
 from dexctl.state import Bools, Floats, GraspState
 
 
@@ -24,7 +23,7 @@ class GroupedSimulator:
 
     Args:
         groups: (scene, number of environments) pairs; the scenes have the same hand.
-        control_period, substeps, threads, tactile, disturbance, seed: as `BatchSimulator`'s.
+        control_period, substeps, threads, touch_threshold, disturbance, seed: as `BatchSimulator`'s.
 
     Attributes:
         groups: the `BatchSimulator` of each group.
@@ -38,7 +37,7 @@ class GroupedSimulator:
         control_period: float = 0.05,
         substeps: int = 10,
         threads: int | None = None,
-        tactile: Tactile | None = None,
+        touch_threshold: float = 0.05,
         disturbance: float = 0.02,
         seed: ArrayLike = 0,
     ) -> None:
@@ -65,7 +64,7 @@ class GroupedSimulator:
                 control_period=control_period,
                 substeps=substeps,
                 threads=threads,
-                tactile=tactile,
+                touch_threshold=touch_threshold,
                 disturbance=disturbance,
                 seed=seeds[rows],
             )
@@ -74,7 +73,7 @@ class GroupedSimulator:
         self.hand = hand
         self.control_period = self.groups[0].control_period
         self.substeps = self.groups[0].substeps
-        self.tactile = self.groups[0].tactile
+        self.touch_threshold = self.groups[0].touch_threshold
         self.disturbance = self.groups[0].disturbance
 
     def _seeds(self, seed: ArrayLike) -> np.ndarray:
@@ -156,9 +155,9 @@ class GroupedSimulator:
                 }
             )
 
-    def save(self) -> tuple[SimulatorState, ...]:
+    def save(self) -> list[SimulatorState]:
         """All that decides the future, group by group."""
-        return tuple(group.save() for group in self.groups)
+        return [group.save() for group in self.groups]
 
     def restore(self, saved: Sequence[SimulatorState]) -> None:
         """Continue from what `save` returned."""

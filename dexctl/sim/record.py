@@ -26,7 +26,7 @@ class Recorder:
     with the same scene goes on, the film does too.
 
         with Recorder(scene, "out/cube.mp4") as recorder:
-            run(controller, sim, 10.0, record=recorder)
+            run(controller, sim, 10.0, observers=[recorder])
             recorder.picture("out/cube.png")
 
     Args:

@@ -15,9 +15,13 @@ from dexctl.sim import checks
 from dexctl.sim.parameters import ParameterSet
 from dexctl.sim.physics_state import INPUT, PhysicsLayout, SimulatorState
 from dexctl.sim.scene import Scene
-from dexctl.sim.tactile import Tactile, TouchSensors, blur
+from dexctl.sim.tactile import TouchReading, TouchSensors
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.streams import Streams
+from dexctl.streams import Streams, StreamsState
+
+_SAVED = (
+    "physics", "q_target", "ctrl", "steps", "diverged", "angular_velocity", "start_position"
+)  # fmt: skip
 
 
 class BatchSimulator:
@@ -41,12 +45,12 @@ class BatchSimulator:
         control_period: time of one :meth:`step` [s].
         substeps: physics steps in it.
         threads: how many; default all processor cores.
-        tactile: how well the fingertips feel.
+        touch_threshold: weakest normal force that counts as touch [N].
         disturbance: standard deviation of the set-points after a reset [rad].
         seed: of the random streams.
 
     Attributes:
-        hand, scene, control_period, substeps, tactile: as given.
+        hand, scene, control_period, substeps, touch_threshold: as given.
         num_envs: N, or None.
         diverged: ``(N,)`` bool, latched until reset.
         other_contact: force between the object and everything but fingertips, ``(N,)`` [N].
@@ -64,7 +68,7 @@ class BatchSimulator:
         control_period: float = 0.05,
         substeps: int = 10,
         threads: int | None = None,
-        tactile: Tactile | None = None,
+        touch_threshold: float = 0.05,
         disturbance: float = 0.02,
         seed: ArrayLike = 0,
     ) -> None:
@@ -76,7 +80,9 @@ class BatchSimulator:
         self.control_period = checks.positive("control_period", control_period)
         self.substeps = checks.count("substeps", substeps)
         self.disturbance = float(disturbance)
-        self.tactile = tactile if tactile is not None else Tactile()
+        if not (np.isfinite(touch_threshold) and touch_threshold >= 0):
+            raise InvalidInput(f"touch_threshold is {touch_threshold}; expected newtons >= 0")
+        self.touch_threshold = float(touch_threshold)
         self._count = 1 if num_envs is None else checks.count("num_envs", num_envs)
         self.batch_shape = () if num_envs is None else (self._count,)
         self._parameters = ParameterSet(scene, self._count, self.control_period / self.substeps)
@@ -117,10 +123,8 @@ class BatchSimulator:
         self._diverged = np.zeros(count, bool)
         self._angular_velocity = np.zeros((count, 3))
         self._start_position = np.zeros((count, 3))
-        self._delay = round(self.tactile.latency / self._timestep)
         width = self._sensors.columns.stop - self._sensors.columns.start
-        self._history = np.zeros((count, self._delay + 1, width))
-        self._touch = self._sensors.read(self._history[:, 0], self.tactile.threshold)
+        self._touch = self._sensors.read(np.zeros((count, width)), self.touch_threshold)
         settled = self.scene.settled
         self._settled_physics = self._layout.state(settled.qpos, settled.qvel)
         self._settled_ctrl = np.zeros(self._layout.inputs)
@@ -210,8 +214,7 @@ class BatchSimulator:
         self._diverged[chosen] = False
         self._angular_velocity[chosen] = 0.0
         self._start_position[chosen] = self._physics[chosen, self._layout.position]
-        self._history[chosen] = touch[:, None]
-        self._feel(chosen)
+        self._touch = self._touch.placed(chosen, self._sensors.read(touch, self.touch_threshold))
 
     def read(self) -> GraspState:
         """The state now: joints, set-points, touch and the object's pose (all copies)."""
@@ -226,7 +229,7 @@ class BatchSimulator:
             object_position=self._physics[:, self._layout.position].copy(),
             object_quaternion=self._physics[:, self._layout.quaternion].copy(),
             time=self._clock(),
-            age=np.full(self._count, self._timestep * (1 + self._delay)),
+            age=np.full(self._count, self._timestep),
         )
         return state if batch else state[0]
 
@@ -264,7 +267,8 @@ class BatchSimulator:
         )
         after = self._next[:, -1]
         expected = self._physics[:, 0] + self.control_period
-        bad = self._layout.broken(after, expected, self._timestep) | self._diverged
+        gravity = float(np.linalg.norm(self.scene.gravity))
+        bad = self._layout.broken(after, expected, self._timestep, gravity) | self._diverged
         if bad.any():
             after[bad] = self._physics[bad]
             self._sensordata[bad] = 0.0
@@ -274,26 +278,8 @@ class BatchSimulator:
         self._angular_velocity = rotation_vector(turn) / self.control_period
         self._physics[:] = after
         self._steps += ~bad
-        self._remember()
-        self._feel(None)
-
-    def _remember(self) -> None:
-        """Keep the sensor data that the delay still needs, newest last."""
-        kept, columns = self._delay + 1, self._sensors.columns
-        new = self._sensordata[:, max(self.substeps - kept, 0) :, columns]
-        if kept <= self.substeps:
-            self._history = new
-        else:
-            self._history = np.concatenate([self._history[:, self.substeps :], new], axis=1)
-
-    def _feel(self, chosen: Bools | None) -> None:
-        """Read the fingertips (of the environments ``chosen``) from the delayed sensor data."""
-        reading = self._sensors.read(self._history[:, 0], self.tactile.threshold)
-        if self.tactile.noisy:
-            reading = blur(reading, self.tactile, self._streams, chosen)
-        if chosen is not None and not chosen.all():
-            reading = self._touch.replaced(chosen, reading)
-        self._touch = reading
+        data = self._sensordata[:, -1, self._sensors.columns]
+        self._touch = self._sensors.read(data, self.touch_threshold)
 
     def set_parameters(self, **parameters: ArrayLike) -> None:
         """Give every environment its own physical parameters; they hold from the next step on.
@@ -315,20 +301,17 @@ class BatchSimulator:
         return self._parameters.values
 
     def save(self) -> SimulatorState:
-        """All that decides the future, to be given to :meth:`restore`."""
-        return SimulatorState(
-            physics=self._physics.copy(),
-            q_target=self._q_target.copy(),
-            ctrl=self._ctrl.copy(),
-            history=self._history.copy(),
-            touch=self._touch.copy(),
-            steps=self._steps.copy(),
-            diverged=self._diverged.copy(),
-            angular_velocity=self._angular_velocity.copy(),
-            start_position=self._start_position.copy(),
-            streams=self._streams.save(),
-            parameters=self._parameters.values,
-        )
+        """All that decides the future, to be given to :meth:`restore`.
+
+        MuJoCo's full physics state has no warm start of the solver, because each control step
+        starts without one: that is what makes replays bitwise.
+        """
+        return {
+            **{name: getattr(self, f"_{name}").copy() for name in _SAVED},
+            "touch": {name: value.copy() for name, value in self._touch._asdict().items()},
+            "streams": self._streams.save()._asdict(),
+            "parameters": self._parameters.values,
+        }
 
     def restore(self, saved: SimulatorState) -> None:
         """Continue from a saved state: the same writes and steps give the same bits.
@@ -336,23 +319,16 @@ class BatchSimulator:
         Raises:
             SimulationError: it was saved by a simulator of another size.
         """
-        if saved.physics.shape != self._physics.shape or saved.history.shape != self._history.shape:
+        if saved["physics"].shape != self._physics.shape:
             raise SimulationError(
-                f"the saved state has shape {saved.physics.shape} and delay buffer "
-                f"{saved.history.shape}; this simulator has {self._physics.shape} and "
-                f"{self._history.shape}"
+                f"the saved state has shape {saved['physics'].shape}; this simulator has "
+                f"{self._physics.shape}"
             )
-        self._physics = saved.physics.copy()
-        self._q_target = saved.q_target.copy()
-        self._ctrl = saved.ctrl.copy()
-        self._history = saved.history.copy()
-        self._touch = saved.touch.copy()
-        self._steps = saved.steps.copy()
-        self._diverged = saved.diverged.copy()
-        self._angular_velocity = saved.angular_velocity.copy()
-        self._start_position = saved.start_position.copy()
-        self._streams.restore(saved.streams)
-        self._parameters.restore(saved.parameters)
+        for name in _SAVED:
+            setattr(self, f"_{name}", saved[name].copy())
+        self._touch = TouchReading(**{k: v.copy() for k, v in saved["touch"].items()})
+        self._streams.restore(StreamsState(**saved["streams"]))
+        self._parameters.restore(saved["parameters"])
 
     @property
     def time(self) -> Floats:

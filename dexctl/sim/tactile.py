@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from dexctl.exceptions import InvalidInput
 from dexctl.state import Bools, Floats
-from dexctl.streams import Streams
 
 _FIELD = mujoco.mjtConDataField
 _MAXFORCE, _NETFORCE = 2, 3  # the sensor's `reduce` codes: strongest contacts first; their sum
@@ -19,37 +16,6 @@ _MAXFORCE, _NETFORCE = 2, 3  # the sensor's `reduce` codes: strongest contacts f
 _SLOTS = 3
 _TIP_FIELDS = ("FOUND", "FORCE", "POS", "NORMAL")
 _WIDTH = 10  # found 1, force 3 (contact frame: normal first), position 3, normal 3
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tactile:
-    """How well the fingertips feel.
-
-    Attributes:
-        threshold: weakest normal force that counts as touch [N].
-        position_noise: standard deviation of each contact coordinate [m].
-        normal_noise: standard deviation of the normal's tilt about two axes [rad].
-        force_noise: standard deviation of the normal force [N].
-        latency: age of the tactile reading beyond the physics step that it always has [s];
-            rounded to physics steps.
-    """
-
-    threshold: float = 0.05
-    position_noise: float = 0.0
-    normal_noise: float = 0.0
-    force_noise: float = 0.0
-    latency: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InvalidInput(f"Tactile.{name} is {value}; expected a finite number >= 0")
-
-    @property
-    def noisy(self) -> bool:
-        """Whether readings differ from the truth."""
-        return max(self.position_noise, self.normal_noise, self.force_noise) > 0
 
 
 class TouchReading(NamedTuple):
@@ -69,26 +35,14 @@ class TouchReading(NamedTuple):
     force: Floats
     other_contact: Floats
 
-    def copy(self) -> TouchReading:
-        """The same numbers in arrays of their own."""
-        return TouchReading(
-            self.in_contact.copy(),
-            self.position.copy(),
-            self.normal.copy(),
-            self.force.copy(),
-            self.other_contact.copy(),
-        )
-
-    def replaced(self, mask: Bools, new: TouchReading) -> TouchReading:
-        """This reading with the environments in ``mask`` ``(N,)`` taken from ``new``."""
-        fingers, vectors = mask[:, None], mask[:, None, None]
-        return TouchReading(
-            np.where(fingers, new.in_contact, self.in_contact),
-            np.where(vectors, new.position, self.position),
-            np.where(vectors, new.normal, self.normal),
-            np.where(fingers, new.force, self.force),
-            np.where(mask, new.other_contact, self.other_contact),
-        )
+    def placed(self, mask: Bools, new: TouchReading) -> TouchReading:
+        """This reading with the environments in ``mask`` ``(N,)`` from the rows of ``new``."""
+        found = []
+        for before, value in zip(self, new, strict=True):
+            after = before.copy()
+            after[mask] = value
+            found.append(after)
+        return TouchReading(*found)
 
 
 def add_sensors(spec: mujoco.MjSpec, fingertips: tuple[str, ...], others: tuple[str, ...]) -> None:
@@ -155,31 +109,3 @@ class TouchSensors:
         other = data[:, count:].reshape(len(data), -1, 3)
         other_force = np.sqrt(np.einsum("nbk,nbk->nb", other, other)).sum(-1)
         return TouchReading(touch, weighted[..., :3], normal, force * touch, other_force)
-
-
-def blur(
-    reading: TouchReading, tactile: Tactile, streams: Streams, mask: Bools | None = None
-) -> TouchReading:
-    """The reading with the noise of ``tactile``, from one random stream per environment."""
-    fingers = reading.force.shape[1]
-    noise = streams.normal((fingers, 6), mask).reshape(-1, fingers, 6)
-    touch = reading.in_contact
-    force = np.maximum(reading.force + tactile.force_noise * noise[..., 0], 0.0)
-    touch = touch & (force >= tactile.threshold)
-    position = reading.position + tactile.position_noise * noise[..., 1:4]
-    tilt = tactile.normal_noise * _perpendicular(reading.normal, noise[..., 4:6])
-    normal = reading.normal + tilt
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    normal = normal / np.where(length > 0, length, 1.0)
-    rows = touch[..., None]
-    return TouchReading(touch, position * rows, normal * rows, force * touch, reading.other_contact)
-
-
-def _perpendicular(normal: Floats, amounts: Floats) -> Floats:
-    """``amounts`` ``(..., 2)`` along two unit vectors perpendicular to ``normal``."""
-    least = np.argmin(np.abs(normal), axis=-1)
-    first = np.cross(normal, np.eye(3)[least])
-    length = np.linalg.norm(first, axis=-1, keepdims=True)
-    first = first / np.where(length > 0, length, 1.0)
-    second = np.cross(normal, first)
-    return amounts[..., :1] * first + amounts[..., 1:] * second

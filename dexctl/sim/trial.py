@@ -1,15 +1,14 @@
 """Trials: run a controller on the simulator and keep what happened.
 
-The protocol of every measurement in this project: the settled grasp with disturbed set-points, one
-read, act, write and step per control period; the object is dropped when its centre is more than
-0.05 m from where it started; rotation is the unwrapped angle about the hand's z axis up to the
-drop.
+Every measurement in this project is such a run: one read, act, write and step per control period;
+the object is dropped when its centre is more than 0.05 m from where it started; rotation is the
+unwrapped angle about the axis asked for, up to the drop.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
@@ -19,13 +18,15 @@ from numpy.typing import ArrayLike
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
 from dexctl.plant import Plant
-from dexctl.rotations import inverse, multiply
+from dexctl.rotations import inverse, multiply, unit_axis
 from dexctl.sim.grouped import GroupedSimulator
+from dexctl.sim.simulation import Simulation
 from dexctl.sim.simulator import BatchSimulator
 from dexctl.state import Bools, Floats, GraspState
 
 DROP_DISTANCE = 0.05
 Simulator = BatchSimulator | GroupedSimulator
+Observer = Callable[[Any], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +45,9 @@ class Trace:
         other_contact: force of the object on all but fingertips, ``(T+1, ...)`` [N].
         diverged: whether the simulation of an environment broke down, ``(T+1, ...)`` bool.
         held: whether the object has not been dropped yet, ``(T+1, ...)`` bool.
-        rotation: angle about the hand's z since the start, standing still from the drop on,
-            ``(T+1, ...)`` [rad].
+        rotation: angle about the axis of the run since the start, standing still from the drop
+            on, ``(T+1, ...)`` [rad].
+        axis: that axis, unit, hand frame, ``(3,)``.
         diagnostics: those of the controller that are numbers, by name, ``(T, ...)`` each.
         act_seconds: wall time of each call of the controller, ``(T,)`` [s].
     """
@@ -63,6 +65,7 @@ class Trace:
     diverged: Bools
     held: Bools
     rotation: Floats
+    axis: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     diagnostics: Mapping[str, np.ndarray] = field(default_factory=dict)
     act_seconds: Floats = field(default_factory=lambda: np.zeros(0))
 
@@ -85,11 +88,12 @@ class Trace:
 
 def run(
     controller: Controller,
-    sim: Simulator,
+    sim: Simulator | Simulation,
     seconds: float,
     *,
     plant: Plant | None = None,
-    record: Callable[[Any], None] | None = None,
+    axis: str | ArrayLike = "z",
+    observers: Sequence[Observer] = (),
     drop_distance: float = DROP_DISTANCE,
     progress: Callable[[float], None] | None = None,
 ) -> Trace:
@@ -99,17 +103,21 @@ def run(
 
     Args:
         controller: of the simulator's hand.
-        sim: a `BatchSimulator` or a `GroupedSimulator`.
+        sim: a `Simulation`, whose sensors and limits then stand between, or bare physics.
         seconds: of simulated time, rounded to control periods [s].
-        plant: what the controller is to see of ``sim``, such as an `AsReal` in front of it;
+        plant: what the controller is to see of ``sim``, such as a `LimitedHand` in front of it;
             default ``sim`` itself. The object's pose in the trace is always that of ``sim``.
-        record: called with the simulator at the start and after each step (a `Recorder`).
+        axis: that rotation is counted about, hand frame: "x", "y", "z", "-x" ... or a vector.
+        observers: each is called with the physics at the start and after each step (a
+            `Recorder`, for one).
         drop_distance: how far the object's centre may go from where it is at the start [m].
         progress: called after each step with the simulated time so far [s].
 
     Raises:
-        InvalidInput: the controller's and the simulator's control periods differ.
+        UnknownName, InvalidInput: no such axis, or the controller's and the simulator's control
+            periods differ.
     """
+    about = unit_axis(axis)
     if not np.isclose(controller.control_period, sim.control_period):
         raise InvalidInput(
             f"the controller's control_period is {controller.control_period} s and the simulator's "
@@ -120,52 +128,63 @@ def run(
         raise InvalidInput(
             f"seconds is {seconds}; expected at least one control period, {sim.control_period} s"
         )
-    seen = sim if plant is None else plant
-    states: list[GraspState] = [seen.read()]
-    truth = states if plant is None else [sim.read()]
-    other, diverged = [sim.other_contact], [sim.diverged]
+    seen: Plant = sim if plant is None else plant
+    physics = sim.sim if isinstance(sim, Simulation) else sim
+
+    def truth(state: GraspState) -> GraspState:
+        """What is kept of a moment at which the controller sees ``state``."""
+        if isinstance(sim, Simulation):
+            return sim.state
+        if plant is None:
+            return state
+        now = sim.read()
+        pose = {name: getattr(now, name) for name in ("object_position", "object_quaternion")}
+        return replace(state, **pose)
+
+    state = seen.read()
+    states = [truth(state)]
+    other, diverged = [physics.other_contact], [physics.diverged]
     found: list[dict[str, np.ndarray]] = []
     act_seconds = np.zeros(steps)
-    if record is not None:
-        record(sim)
+    for observe in observers:
+        observe(physics)
     for i in range(steps):
-        state = states[-1]
         start = perf_counter()
         change = controller.act(state)
         act_seconds[i] = perf_counter() - start
         seen.write(state.q_target + change)
         seen.step()
-        found.append(_numbers(controller.diagnostics, sim.batch_shape))
-        states.append(seen.read())
-        if plant is not None:
-            truth.append(sim.read())
-        other.append(sim.other_contact)
-        diverged.append(sim.diverged)
-        if record is not None:
-            record(sim)
+        found.append(_numbers(controller.diagnostics, physics.batch_shape))
+        state = seen.read()
+        states.append(truth(state))
+        other.append(physics.other_contact)
+        diverged.append(physics.diverged)
+        for observe in observers:
+            observe(physics)
         if progress is not None:
             progress((i + 1) * sim.control_period)
-    return _trace(sim, states, truth, other, diverged, found, act_seconds, drop_distance)
+    time = np.arange(len(states), dtype=float) * float(sim.control_period)
+    return _trace(time, states, other, diverged, found, act_seconds, drop_distance, about)
 
 
 def _trace(
-    sim: Simulator,
+    time: Floats,
     states: list[GraspState],
-    truth: list[GraspState],
     other: list[Floats],
     diverged: list[Bools],
     found: list[dict[str, np.ndarray]],
     act_seconds: Floats,
     drop_distance: float,
+    axis: Floats,
 ) -> Trace:
-    position = np.array([state.object_position for state in truth])
-    quaternion = np.array([state.object_quaternion for state in truth])
+    position = np.array([state.object_position for state in states])
+    quaternion = np.array([state.object_quaternion for state in states])
     away = np.linalg.norm(position - position[0], axis=-1)
     broken = np.array(diverged)
     held = np.logical_and.accumulate((away <= drop_distance) & ~broken, axis=0)
     names = [name for name in found[0] if all(name in row for row in found)]
     return Trace(
-        time=np.arange(len(states), dtype=float) * float(sim.control_period),
+        time=time,
         q=np.array([state.q for state in states]),
         q_target=np.array([state.q_target for state in states]),
         in_contact=np.array([state.in_contact for state in states]),
@@ -177,7 +196,8 @@ def _trace(
         other_contact=np.array(other),
         diverged=broken,
         held=held,
-        rotation=rotation_about_z(quaternion, held),
+        rotation=rotation_about(quaternion, axis, held),
+        axis=axis,
         diagnostics={name: np.array([row[name] for row in found]) for name in names},
         act_seconds=act_seconds,
     )
@@ -205,11 +225,6 @@ def rotation_about(
         np.where(held, np.arange(len(held)).reshape(-1, *(1,) * (held.ndim - 1)), 0), axis=0
     )
     return np.take_along_axis(angle, last, axis=0)
-
-
-def rotation_about_z(quaternion: Floats, held: Bools | None = None) -> Floats:
-    """`rotation_about` the z axis."""
-    return rotation_about(quaternion, held=held)
 
 
 def _numbers(diagnostics: Mapping[str, object], batch: tuple[int, ...]) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from learning.files import aside
+from dexctl.files import aside
 from learning.statistics import bootstrap, wilson
 from learning.sweep.config import Cell, Criterion, PlannedRun, SweepConfig
 from learning.sweep.jobs import controller_folder, outcome, run_folder

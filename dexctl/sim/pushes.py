@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dexctl.state import Bools, Floats
-from dexctl.streams import Streams
+from dexctl.streams import Streams, StreamsState
 from dexctl.validation import check_numbers
 
 
@@ -18,22 +18,20 @@ class Push:
     Directions are uniform on the sphere, a stream of them for each environment. The thesis gives
     the size of its perturbation forces (1 N, the weight of the object) and nothing else.
 
-    Attributes:
-        force: its size [N].
-        seconds: how long each lasts, rounded to control periods [s].
-
     Raises:
         InvalidInput: a number out of range.
     """
 
-    force: float = 0.0
-    seconds: float = 1.0
+    push_force: float = 0.0
+    """Size of the force that pulls at the object [N]."""
+    push_seconds: float = 1.0
+    """How long it pulls into one direction, rounded to control periods [s]."""
 
     def __post_init__(self) -> None:
-        check_numbers(self, not_negative=("force",), positive=("seconds",))
+        check_numbers(self, not_negative=("push_force",), positive=("push_seconds",))
 
     def __bool__(self) -> bool:
-        return self.force > 0
+        return self.push_force > 0
 
 
 class Pusher:
@@ -50,7 +48,7 @@ class Pusher:
 
     def __init__(self, push: Push, streams: Streams, control_period: float) -> None:
         self._push, self.streams = push, streams
-        self._every = max(round(push.seconds / control_period), 1)
+        self._every = max(round(push.push_seconds / control_period), 1)
         self.force = np.zeros((*streams.batch_shape, 3))
 
     def __call__(self, step: np.ndarray) -> Floats:
@@ -59,6 +57,15 @@ class Pusher:
         if due.any():
             direction = self.streams.normal((3,), due)
             length = np.sqrt((direction * direction).sum(axis=-1, keepdims=True))
-            drawn = self._push.force * direction / np.maximum(length, 1e-12)
+            drawn = self._push.push_force * direction / np.maximum(length, 1e-12)
             self.force = np.where(due[:, None], drawn, self.force)
         return self.force
+
+    def save(self) -> dict[str, object]:
+        """All that decides what is to come, to be given to `restore`."""
+        return {"streams": self.streams.save()._asdict(), "force": self.force.copy()}
+
+    def restore(self, saved: dict) -> None:
+        """Go on from what `save` returned."""
+        self.streams.restore(StreamsState(**saved["streams"]))
+        self.force = saved["force"].copy()

@@ -1,4 +1,4 @@
-"""Initial states from a file: grasps that a planner, or an earlier run, has found."""
+"""Grasp states in a file of arrays: what planners write, and what episodes start from."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.exceptions import InvalidInput
+from dexctl.files import aside
 from dexctl.hand import HandModel
 from dexctl.state import Floats
-from learning.files import aside
+
+_ROWS = ("q", "q_target", "object_position", "object_quaternion", "object")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class InitialStates:
+class GraspStates:
     """S grasps of one hand, at rest. `save` and `load` keep them in a numpy ``.npz`` file.
 
     Attributes:
+        hand: name of the hand.
         q: joint positions ``(S, d)`` [rad].
         q_target: set-points ``(S, d)`` [rad].
         object_position: ``(S, 3)`` [m], hand (= world) frame.
@@ -31,6 +34,7 @@ class InitialStates:
         InvalidInput: shapes that do not belong together, or numbers that are not finite.
     """
 
+    hand: str
     q: Floats
     q_target: Floats
     object_position: Floats
@@ -41,9 +45,10 @@ class InitialStates:
     def __post_init__(self) -> None:
         for name in ("object", "joint_names"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), np.str_))
+        object.__setattr__(self, "hand", str(self.hand))
         count, d = len(self.object), len(self.joint_names)
         if not count:
-            raise InvalidInput("InitialStates has no states; expected at least one")
+            raise InvalidInput("GraspStates has no states; expected at least one")
         for name, width in (
             ("q", d),
             ("q_target", d),
@@ -53,18 +58,28 @@ class InitialStates:
             value = np.asarray(getattr(self, name), float)
             if value.shape != (count, width):
                 raise InvalidInput(
-                    f"InitialStates.{name} has shape {value.shape}; expected {(count, width)}"
+                    f"GraspStates.{name} has shape {value.shape}; expected {(count, width)}"
                 )
             if not np.isfinite(value).all():
-                raise InvalidInput(f"InitialStates.{name} has numbers that are not finite")
+                raise InvalidInput(f"GraspStates.{name} has numbers that are not finite")
             object.__setattr__(self, name, value)
         norm = np.linalg.norm(self.object_quaternion, axis=1)
         if (np.abs(norm - 1.0) > 1e-3).any():
             bad = float(norm[np.argmax(np.abs(norm - 1.0))])
-            raise InvalidInput(f"InitialStates.object_quaternion has norm {bad:.4g}; expected 1")
+            raise InvalidInput(f"GraspStates.object_quaternion has norm {bad:.4g}; expected 1")
 
     def __len__(self) -> int:
         return len(self.object)
+
+    def of(self, name: str) -> GraspStates:
+        """Those with the object ``name``.
+
+        Raises:
+            InvalidInput: there are none.
+        """
+        rows = self.object == name
+        arrays = {field: getattr(self, field)[rows] for field in _ROWS}
+        return GraspStates(hand=self.hand, joint_names=self.joint_names, **arrays)
 
     def save(self, path: str | Path) -> None:
         """Write the file, whole or not at all."""
@@ -72,7 +87,7 @@ class InitialStates:
             np.savez(stream, **{field.name: getattr(self, field.name) for field in fields(self)})
 
     @classmethod
-    def load(cls, path: str | Path) -> InitialStates:
+    def load(cls, path: str | Path) -> GraspStates:
         """Read what `save` wrote.
 
         Raises:
@@ -84,10 +99,10 @@ class InitialStates:
                 missing = [name for name in names if name not in stored]
                 values = {name: stored[name] for name in names if name in stored}
         except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise InvalidInput(f"initial_states {str(path)!r} cannot be read: {error}") from None
+            raise InvalidInput(f"grasp states {str(path)!r} cannot be read: {error}") from None
         if missing:
             raise InvalidInput(
-                f"initial_states {str(path)!r} lacks {', '.join(missing)}; expected "
+                f"grasp states {str(path)!r} lacks {', '.join(missing)}; expected "
                 f"{', '.join(names)}"
             )
         return cls(**values)
@@ -105,17 +120,17 @@ class StateSampler:
         InvalidInput: states of another hand, or an object without states.
     """
 
-    def __init__(self, states: InitialStates, hand: HandModel, objects: tuple[str, ...]) -> None:
+    def __init__(self, states: GraspStates, hand: HandModel, objects: tuple[str, ...]) -> None:
         if tuple(states.joint_names) != tuple(hand.joint_names):
             raise InvalidInput(
-                f"the initial states are of a hand with joints {', '.join(states.joint_names)}; "
+                f"the grasp states are of a hand with joints {', '.join(states.joint_names)}; "
                 f"expected {', '.join(hand.joint_names)}"
             )
         known = sorted(set(states.object.tolist()))
         missing = sorted(set(objects) - set(known))
         if missing:
             raise InvalidInput(
-                f"the initial states have none of the object {missing[0]!r}; they are of "
+                f"the grasp states have none of the object {missing[0]!r}; they are of "
                 f"{', '.join(known)}"
             )
         self.states = states

@@ -1,0 +1,268 @@
+"""Settings: nested frozen dataclasses as plain values, as files have them, and by leaf name.
+
+A configuration is a keyword-only frozen dataclass whose fields are numbers, texts, tuples, or
+configurations in turn. The names of the leaves of one tree differ, so a setting can be given by
+its own name wherever it stands: ``changed(train, {"axis": "x"})``. Two leaves of the same name
+(the ``learning_rate`` of two algorithms) are told apart by the path, ``"ppo.learning_rate"``.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import numpy as np
+import tyro
+
+from dexctl.exceptions import InvalidInput, UnknownName
+
+C = TypeVar("C")
+T = TypeVar("T")
+
+NESTED = tyro.conf.arg(name="")
+"""Marks a nested configuration whose settings go without its name on the command line."""
+
+
+def _read_vector(words: list[str]) -> str | tuple[float, ...]:
+    parts = words[0].split(",")
+    return words[0] if len(parts) == 1 else tuple(float(part) for part in parts)
+
+
+def _show_vector(value: str | tuple[float, ...]) -> list[str]:
+    return [value if isinstance(value, str) else ",".join(f"{number:g}" for number in value)]
+
+
+Vector = Annotated[
+    str | tuple[float, float, float],
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="NAME|X,Y,Z",
+        instance_from_str=_read_vector,
+        is_instance=lambda value: isinstance(value, str | tuple),
+        str_from_instance=_show_vector,
+    ),
+]
+"""A direction by name, or as three numbers; "x,y,z" on the command line."""
+
+
+def to_plain(config: Any) -> dict[str, Any]:
+    """A configuration as JSON can hold it; `from_plain` makes it again."""
+    return {field.name: _plain(getattr(config, field.name)) for field in fields(config)}
+
+
+def from_plain(kind: type[C], values: Mapping[str, Any], where: str = "") -> C:
+    """The configuration that ``values`` describe; what they leave out has its default.
+
+    Args:
+        kind: the class.
+        values: by name, nested or by the leaves' own names; lists are tuples, whole numbers will
+            do for numbers.
+        where: what stands before the names in messages.
+
+    Raises:
+        UnknownName: no such setting.
+        InvalidInput: a value of the wrong kind, or out of range.
+    """
+    return kind(**_arguments(kind, values, where))
+
+
+def changed(config: C, values: Mapping[str, Any], where: str = "") -> C:
+    """A copy of ``config`` with ``values``, which are as `from_plain` takes them.
+
+    Raises:
+        UnknownName, InvalidInput: see `from_plain`.
+    """
+    found = {}
+    for name, value in _sorted_in(type(config), values, where).items():
+        path = f"{where}.{name}" if where else name
+        kind, before = _hints(type(config))[name], getattr(config, name)
+        if is_dataclass(kind) and isinstance(value, Mapping):
+            found[name] = changed(before, value, path)
+        else:
+            found[name] = _value(kind, value, path)
+    return replace(cast(Any, config), **found)
+
+
+@cache
+def leaves(kind: type) -> Mapping[str, str]:
+    """The dotted path of each setting below ``kind``, by its own name; repeated names are out."""
+    found: dict[str, list[str]] = {}
+    for path in paths(kind):
+        found.setdefault(path.rpartition(".")[2], []).append(path)
+    return {name: those[0] for name, those in found.items() if len(those) == 1}
+
+
+def paths(kind: type) -> Iterator[str]:
+    """The dotted path of every setting below ``kind``."""
+    for name, hint in _hints(kind).items():
+        if is_dataclass(hint):
+            yield from (f"{name}.{path}" for path in paths(cast(type, hint)))
+        else:
+            yield name
+
+
+def get(config: Any, path: str) -> Any:
+    """The setting at a dotted path."""
+    for name in path.split("."):
+        config = getattr(config, name)
+    return config
+
+
+def difference(a: Any, b: Any, where: str = "") -> str | None:
+    """The first place where two plain values differ, with both; None where they do not."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        for key in dict.fromkeys([*a, *b]):
+            found = difference(a.get(key), b.get(key), f"{where}.{key}" if where else str(key))
+            if found is not None:
+                return found
+        return None
+    return None if a == b else f"{where} was {a!r}, is {b!r}"
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return to_plain(value)
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(one) for one in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+@cache
+def _hints(kind: type) -> Mapping[str, Any]:
+    """The kinds of the fields, without what is only for the command line."""
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in fields(kind) if field.init}
+
+
+def _arguments(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    found = {}
+    for name, value in _sorted_in(kind, values, where).items():
+        path = f"{where}.{name}" if where else name
+        found[name] = _value(_hints(kind)[name], value, path)
+    return found
+
+
+def _sorted_in(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """``values`` by the fields of ``kind``: leaves and paths from below go into their tables."""
+    own, below = _hints(kind), leaves(kind)
+    found: dict[str, Any] = {}
+    if not isinstance(values, Mapping):
+        raise InvalidInput(f"{where or 'the configuration'} is {values!r}; expected a table")
+    for name, value in values.items():
+        path = name if name in own else below.get(name, name)
+        first, _, rest = str(path).partition(".")
+        if first not in own or (rest and not is_dataclass(own[first])):
+            known = (*own, *(leaf for leaf in below if leaf not in own))
+            raise UnknownName(f"setting of {where}" if where else "setting", name, known)
+        if not rest:
+            both = isinstance(found.get(first), Mapping) and isinstance(value, Mapping)
+            found[first] = {**found[first], **value} if both else value
+        else:
+            table = found.setdefault(first, {})
+            if isinstance(table, Mapping):
+                found[first] = {**table, rest: value}
+    return found
+
+
+def _value(kind: Any, value: Any, where: str) -> Any:
+    fits, found = _fit(kind, value, where)
+    if not fits:
+        raise InvalidInput(f"{where} is {value!r}; expected {describe(kind)}")
+    return found
+
+
+def _fit(kind: Any, value: Any, where: str) -> tuple[bool, Any]:
+    """Whether ``value`` is of ``kind``, and the value as that kind has it."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return True, value
+    if origin in (Union, types.UnionType):
+        for one in inner:
+            fits, found = _fit(one, value, where)
+            if fits:
+                return True, found
+        return False, value
+    if kind is type(None):
+        return value is None, None
+    if origin is Literal:
+        return any(
+            value is one or (type(value) is type(one) and value == one) for one in inner
+        ), value
+    if is_dataclass(kind):
+        if isinstance(value, kind):
+            return True, value
+        if not isinstance(value, Mapping):
+            return False, value
+        return True, from_plain(cast(type, kind), value, where)
+    if origin is tuple:
+        return _fit_tuple(inner, value, where)
+    return _fit_scalar(kind, value)
+
+
+def _fit_tuple(inner: tuple[Any, ...], value: Any, where: str) -> tuple[bool, Any]:
+    if isinstance(value, str) and inner[0] is str and inner[-1] is Ellipsis:
+        return True, (value,)
+    if not isinstance(value, list | tuple | np.ndarray):
+        return False, value
+    kinds = [inner[0]] * len(value) if inner[-1] is Ellipsis else list(inner)
+    if len(kinds) != len(value):
+        return False, value
+    made = [_fit(kind, one, where) for kind, one in zip(kinds, value, strict=True)]
+    return all(fits for fits, _ in made), tuple(one for _, one in made)
+
+
+def _fit_scalar(kind: Any, value: Any) -> tuple[bool, Any]:
+    truth = isinstance(value, bool | np.bool_)
+    if kind is bool:
+        return truth, bool(value) if truth else value
+    if kind is int:
+        whole = isinstance(value, int | np.integer) and not truth
+        return whole, int(value) if whole else value
+    if kind is float:
+        number = isinstance(value, int | float | np.number) and not truth
+        return number, float(value) if number else value
+    if kind is Path:
+        return isinstance(value, str | Path), Path(value) if isinstance(value, str) else value
+    return isinstance(value, kind), value
+
+
+_WORDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    Path: "a path",
+    type(None): "none",
+}
+
+
+def describe(kind: Any) -> str:
+    """What is expected of a value of ``kind``, for people."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        return " or ".join(describe(one) for one in inner)
+    if origin is Literal:
+        return " or ".join(repr(one) for one in inner)
+    if origin is tuple:
+        if inner[-1] is Ellipsis:
+            return f"a list, each {describe(inner[0])}"
+        return f"{len(inner)} values, each {describe(inner[0])}"
+    if is_dataclass(kind):
+        return "a table of settings"
+    return _WORDS.get(kind, getattr(kind, "__name__", str(kind)))

@@ -1,0 +1,120 @@
+"""SceneConfig: which hand holds which object, and how it acts and senses.
+
+Environments, evaluation, inspection, sweeps, the commands and the servo emulator all nest this one
+configuration; `dexctl.sim.Simulation` is where its settings take effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from dexctl import hands
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.hand import HandModel
+from dexctl.limits import HandLimits
+from dexctl.settings import NESTED, Vector
+from dexctl.sim.pushes import Push
+from dexctl.sim.sensing import Sensing
+from dexctl.validation import check_numbers, check_whole
+
+if TYPE_CHECKING:
+    from dexctl.sim.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneConfig:
+    """A hand with an object, as it is simulated.
+
+    Raises:
+        UnknownName, InvalidInput: a setting is wrong; the message names it.
+    """
+
+    hand: str = "dex5"
+    """Name of the hand (`dexctl hands` lists them)."""
+    object: tuple[str, ...] = ("cube",)
+    """Name of the object, or several that share out the environments of a batch evenly."""
+    object_size: float | None = None
+    """Width of the object [m]; none: what suits the hand."""
+    object_mass: float = 0.1
+    """Mass of the object [kg]."""
+    object_mesh: Path | None = None
+    """STL or OBJ file of the object named mesh; its convex hull is what collides."""
+    gravity: Vector = "up"
+    """Which way the palm looks: up, down, or gravity as x,y,z [m/s^2]."""
+    stiffness: float | None = None
+    """Of the joints' servos [N m/rad]; none: as the hand's file has it."""
+    damping: float | None = None
+    """Of the joints' servos [N m s/rad]; none: as the hand's file has it."""
+    control_period: float = 0.05
+    """Time of one control step [s]."""
+    substeps: int = 10
+    """Physics steps in a control step."""
+    initial_states: Path | None = None
+    """File of grasp states that episodes start from; none: the settled grasp."""
+    disturbance: float = 0.02
+    """Of the set-points at the start, standard deviation [rad]."""
+    sensing: Annotated[Sensing, NESTED] = Sensing()
+    push: Annotated[Push, NESTED] = Push()
+    limits: Annotated[HandLimits, NESTED] = HandLimits()
+    threads: int | None = None
+    """Of the physics; none: every core."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.object, str):
+            object.__setattr__(self, "object", (self.object,))
+        hands.entry(self.hand)
+        if not self.object:
+            raise InvalidInput("object is (); expected a name, or several")
+        check_numbers(
+            self,
+            positive=("object_mass", "control_period"),
+            not_negative=("disturbance",),
+            optional=("object_size", "stiffness", "damping"),
+        )
+        check_whole(self, substeps=1)
+        if self.threads is not None:
+            check_whole(self, threads=1)
+
+    def undisturbed(self) -> SceneConfig:
+        """The same without noise, latency of the sensors, pushes and given starts."""
+        from dataclasses import replace
+
+        return replace(self, sensing=Sensing(), push=Push(), initial_states=None)
+
+    def scenes(self, hand: HandModel | None = None) -> list[Scene]:
+        """The scene of each object.
+
+        Args:
+            hand: in place of loading the one that is named.
+
+        Raises:
+            UnknownName: no such object.
+            SimulationError: the hand does not hold the object.
+        """
+        from dexctl.sim.objects import MESH, object_names
+        from dexctl.sim.scene import Scene
+
+        for name in self.object:
+            if name not in (*object_names(), MESH):
+                raise UnknownName("object", name, object_names())
+        model = hands.load(self.hand) if hand is None else hand
+        return [
+            Scene.build(
+                model,
+                name,
+                self.gravity,
+                object_mass=self.object_mass,
+                object_size=self.object_size,
+                object_mesh=self.object_mesh,
+            )
+            for name in self.object
+        ]
+
+    @property
+    def palm(self) -> str:
+        """How the hand is held, for people."""
+        if isinstance(self.gravity, str):
+            return f"palm {self.gravity}"
+        return f"gravity ({', '.join(f'{number:g}' for number in self.gravity)}) m/s²"

@@ -1,0 +1,228 @@
+"""Simulation: N hands with their objects, as a `SceneConfig` describes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput
+from dexctl.hand import HandModel
+from dexctl.sim.grasp_states import GraspStates, StateSampler
+from dexctl.sim.grouped import GroupedSimulator
+from dexctl.sim.limited_hand import LimitedHand
+from dexctl.sim.pushes import Pusher
+from dexctl.sim.scene_config import SceneConfig
+from dexctl.sim.sensing import Sensor
+from dexctl.state import Bools, Floats, GraspState, merged
+from dexctl.streams import Streams, StreamsState
+
+# The streams of one environment must not repeat each other; the simulator's takes the seed itself.
+_NOISE_SEED, _DRAW_SEED, _PUSH_SEED = 1 << 40, 1 << 41, 1 << 43
+
+
+class Simulation:
+    """A plant that is everything a `SceneConfig` says: physics, limits, pushes, sensors, starts.
+
+    What controllers and policies may see is :meth:`read`; how things are is :attr:`state`.
+    Environment i of a batch seeded with s has the numbers of a single one seeded with s + i.
+
+    Args:
+        config: what is simulated.
+        num_envs: N, at least one for each object.
+        seed: of the random streams, one or one for each environment.
+        hand: in place of loading the one that is named.
+
+    Attributes:
+        config, hand, control_period, num_envs: as given.
+        sim: the physics.
+        objects: name of the object in each environment.
+
+    Raises:
+        UnknownName, InvalidInput: a setting is wrong.
+        SimulationError: the hand does not hold the object.
+    """
+
+    def __init__(
+        self,
+        config: SceneConfig,
+        num_envs: int,
+        seed: ArrayLike = 0,
+        *,
+        hand: HandModel | None = None,
+    ) -> None:
+        count = _check_count(config, num_envs)
+        seeds = spread_seeds(seed, count)
+        scenes = config.scenes(hand)
+        least, more = divmod(count, len(scenes))
+        self.config = config
+        self.sim = GroupedSimulator(
+            [(scene, least + (i < more)) for i, scene in enumerate(scenes)],
+            control_period=config.control_period,
+            substeps=config.substeps,
+            threads=config.threads,
+            touch_threshold=config.sensing.touch_threshold,
+            disturbance=config.disturbance,
+            seed=seeds,
+        )
+        given = {"kp": config.stiffness, "kv": config.damping}
+        self.sim.set_parameters(**{k: v for k, v in given.items() if v is not None})
+        self.hand, self.num_envs, self.objects = self.sim.hand, count, self.sim.objects
+        self.control_period, self.batch_shape = self.sim.control_period, (count,)
+        self._plant: LimitedHand | GroupedSimulator = self.sim
+        if config.limits:
+            stiffness = scenes[0].stiffness if config.stiffness is None else config.stiffness
+            self._plant = LimitedHand(self.sim, config.limits, stiffness)
+        self._sampler = None
+        if config.initial_states is not None:
+            states = GraspStates.load(config.initial_states)
+            self._sampler = StateSampler(states, self.hand, self.objects)
+        self._draws = Streams(seeds + _DRAW_SEED, (count,))
+        self._pusher = Pusher(
+            config.push, Streams(seeds + _PUSH_SEED, (count,)), self.control_period
+        )
+        noise = Streams(seeds + _NOISE_SEED, (count,))
+        self._sensor = Sensor(config.sensing, noise, self.control_period)
+        self._steps = np.zeros(count, np.int64)
+        self._unseen: Bools | None = np.ones(count, bool)  # None: a control step has passed in all
+        self._begin(np.ones(count, bool))
+        self._seen = self._state
+
+    @property
+    def state(self) -> GraspState:
+        """How things are, ``(N,)``; ``q_target`` is what was sent last."""
+        return self._state
+
+    @property
+    def diverged(self) -> Bools:
+        """Whose simulation broke down, ``(N,)``, until it is reset; its last finite state stays."""
+        return self.sim.diverged
+
+    def reset(self, seed: ArrayLike | None = None, mask: Bools | None = None) -> None:
+        """Begin anew in the environments chosen.
+
+        Args:
+            seed: environment i gets ``seed + i``, or ``seed[i]``; None: the streams go on.
+            mask: which, ``(N,)`` bool; None is all.
+        """
+        chosen = np.ones(self.num_envs, bool) if mask is None else mask
+        if self._unseen is None:  # the step that has passed is sensed first
+            self.read()
+        if seed is None:
+            self.sim.reset(None, chosen)
+        else:
+            seeds = spread_seeds(seed, self.num_envs)
+            self._draws.reseed(seeds + _DRAW_SEED, chosen)
+            self._pusher.streams.reseed(seeds + _PUSH_SEED, chosen)
+            self._sensor.streams.reseed(seeds + _NOISE_SEED, chosen)
+            self.sim.reset(seeds, chosen)
+        self._begin(chosen)
+
+    def read(self) -> GraspState:
+        """What the sensors tell, ``(N,)``; the same however often it is asked within a step."""
+        if self._unseen is None or self._unseen.any():
+            seen = self._sensor(self._state, self._unseen)
+            self._seen = seen if self._unseen is None else merged(self._unseen, seen, self._seen)
+            self._unseen = np.zeros(self.num_envs, bool)
+        return self._seen
+
+    def write(self, q_target: ArrayLike) -> Floats:
+        """Take set-points ``(N, d)`` [rad]; returns what the limits leave of them."""
+        return self._plant.write(q_target)
+
+    def step(self) -> None:
+        """Let one control period pass."""
+        if self.config.push:
+            self.sim.push(self._pusher(self._steps))
+        self._plant.step()
+        self._steps += 1
+        now, broken = self._plant.read(), self.sim.diverged
+        # where it broke down the last finite state stays, its touch included
+        self._state = merged(~broken, now, self._state) if broken.any() else now
+        self._unseen = None
+
+    def save(self) -> dict[str, Any]:
+        """All that decides the future, as arrays and plain values, to be given to `restore`."""
+        seen = self.read()  # first: it may move the sensors on
+        return {
+            "simulator": self.sim.save(),
+            "limits": self._plant.save() if isinstance(self._plant, LimitedHand) else None,
+            "sensor": self._sensor.save(),
+            "pushes": self._pusher.save(),
+            "draws": self._draws.save()._asdict(),
+            "steps": self._steps.copy(),
+            "state": self._state.arrays(),
+            "seen": seen.arrays(),
+        }
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go on from what `save` returned: the same actions give the same bits.
+
+        Raises:
+            SimulationError: it was saved by another number or kind of environments.
+        """
+        self.sim.restore(saved["simulator"])
+        if isinstance(self._plant, LimitedHand):
+            self._plant.restore(saved["limits"])
+        self._sensor.restore(saved["sensor"])
+        self._pusher.restore(saved["pushes"])
+        self._draws.restore(StreamsState(**saved["draws"]))
+        self._steps = saved["steps"].copy()
+        self._state, self._seen = GraspState(**saved["state"]), GraspState(**saved["seen"])
+        self._unseen = np.zeros(self.num_envs, bool)
+
+    def close(self) -> None:
+        """Stop the physics' threads."""
+        self.sim.close()
+
+    def __enter__(self) -> Simulation:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _begin(self, chosen: Bools) -> None:
+        if self._sampler is not None:
+            states, index = self._sampler.states, self._sampler(self._draws.uniform((), chosen))
+            noise = self._draws.normal((self.hand.nq,), chosen)
+            self.sim.set_grasp(
+                states.q[index],
+                states.q_target[index] + self.config.disturbance * noise,
+                states.object_position[index],
+                states.object_quaternion[index],
+                mask=chosen,
+            )
+        if isinstance(self._plant, LimitedHand):
+            self._plant.restart(chosen)
+        self._steps[chosen] = 0
+        fresh = self._plant.read()
+        self._state = fresh if chosen.all() else merged(chosen, fresh, self._state)
+        assert self._unseen is not None
+        self._unseen = self._unseen | chosen
+
+
+def spread_seeds(seed: ArrayLike, count: int) -> np.ndarray:
+    """The seed of each environment, ``(count,)`` of Python's integers, which do not overflow.
+
+    Raises:
+        InvalidInput: neither an integer nor one for each environment.
+    """
+    seeds = np.asarray(seed, object)
+    whole = all(isinstance(one, (int, np.integer)) for one in seeds.flat)
+    if not whole or seeds.shape not in ((), (count,)):
+        raise InvalidInput(f"seed is {seed!r}; expected an integer, or {count} of them")
+    numbers = np.array([int(one) for one in seeds.flat], object)
+    return numbers[0] + np.arange(count).astype(object) if seeds.ndim == 0 else numbers
+
+
+def _check_count(config: SceneConfig, num_envs: object) -> int:
+    least = len(config.object)
+    if not isinstance(num_envs, (int, np.integer)) or isinstance(num_envs, bool):
+        raise InvalidInput(f"num_envs is {num_envs!r}; expected a whole number")
+    if num_envs < least:
+        raise InvalidInput(
+            f"num_envs is {num_envs}; expected at least {least}, one for each of "
+            f"{', '.join(config.object)}"
+        )
+    return int(num_envs)

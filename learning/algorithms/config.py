@@ -1,0 +1,159 @@
+"""Settings of the algorithms; they load without torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from dexctl.exceptions import InvalidInput
+from dexctl.validation import check_numbers, check_whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicyConfig:
+    """What SAC and TD3 share: they learn from a memory of what anybody did.
+
+    Raises:
+        InvalidInput: a setting is wrong; the message names it.
+    """
+
+    gamma: float = 0.99
+    """Discount of a control step."""
+    batch_size: int = 512
+    """Transitions of an update."""
+    gradient_steps: int = 2
+    """Updates for each step of all environments together."""
+    learning_rate: float = 3e-4
+    """Of actor and critics."""
+    learning_rate_end: float | None = None
+    """What the learning rate falls to, linearly; none: it stays."""
+    decay_start: float = 0.5
+    """Share of the steps from which on it falls."""
+    policy_average: float = 0.0
+    """The policy that is kept is the mean of the actor's weights, each update counting this much
+    less than the next; 0: the last ones."""
+    network: tuple[int, ...] = (256, 256)
+    """Widths of the hidden layers of actor and critics."""
+    tau: float = 0.005
+    """How far the target critics go towards the critics at each update."""
+    buffer_size: int = 500_000
+    """Transitions that are remembered; each takes about 0.6 kB of memory and of checkpoint."""
+    learning_starts: int = 5_000
+    """Steps before the first update; the policy's part in them is random."""
+    layer_norm: bool = False
+    """Layer normalisation in the critics; none in the thesis (Ball et al. 2023: it bounds what
+    critics extrapolate to actions that nobody tried)."""
+    n_step: int = 1
+    """Steps of the returns that critics are trained with; 1 in the thesis."""
+    policy_delay: int = 1
+    """Updates of the critics to one of the actor."""
+
+    def __post_init__(self) -> None:
+        check_whole(
+            self,
+            batch_size=1,
+            gradient_steps=1,
+            buffer_size=1,
+            learning_starts=0,
+            n_step=1,
+            policy_delay=1,
+        )
+        check_numbers(
+            self,
+            positive=("learning_rate", "tau"),
+            fractions=("gamma", "tau", "decay_start", "policy_average"),
+        )
+        if self.learning_rate_end is not None:
+            check_numbers(self, not_negative=("learning_rate_end",))
+        check_network(self.network)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SACConfig(OffPolicyConfig):
+    """Soft actor-critic (Haarnoja et al. 2018) with a fixed entropy coefficient."""
+
+    entropy_coefficient: float = 0.0
+    """Weight of the policy's entropy in value; 0 in the thesis."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_numbers(self, not_negative=("entropy_coefficient",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TD3Config(OffPolicyConfig):
+    """Twin delayed DDPG (Fujimoto et al. 2018)."""
+
+    policy_delay: int = 2
+    """Updates of the critics to one of the actor."""
+    exploration_noise: float = 0.1
+    """Standard deviation of what is added to the policy's actions in training, in units of
+    [-1, 1]."""
+    target_noise: float = 0.2
+    """Standard deviation of what is added to the target's actions."""
+    target_noise_clip: float = 0.5
+    """At most this is added to them."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_numbers(self, not_negative=("exploration_noise", "target_noise", "target_noise_clip"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig:
+    """Proximal policy optimisation (Schulman et al. 2017), actor and critic apart.
+
+    Raises:
+        InvalidInput: a setting is wrong; the message names it.
+    """
+
+    gamma: float = 0.99
+    """Discount of a control step."""
+    gae_lambda: float = 0.95
+    """Of generalised advantage estimation: 0 trusts the critic, 1 the returns."""
+    rollout_steps: int = 32
+    """Steps of every environment between two updates."""
+    epochs: int = 5
+    """Passes over them at an update."""
+    minibatches: int = 4
+    """Parts that each pass is split into."""
+    clip: float = 0.2
+    """How far the policy's ratio may go from 1, and the values from the ones before."""
+    clip_value_loss: bool = True
+    """Whether the values are clipped as well."""
+    value_weight: float = 1.0
+    """Weight of the critic's loss."""
+    entropy_weight: float = 0.0
+    """Weight of the policy's entropy."""
+    learning_rate: float = 1e-3
+    """Of actor and critic; where it adapts, the first."""
+    schedule: Literal["adaptive", "fixed"] = "adaptive"
+    """adaptive: the rate follows the policy's change at an update; fixed: it stays."""
+    desired_kl: float = 0.01
+    """Kullback-Leibler divergence of an update that the adaptive rate aims at."""
+    max_grad_norm: float = 1.0
+    """Gradients longer than this are scaled down."""
+    initial_std: float = 0.5
+    """Standard deviation of the actions at the start, in units of [-1, 1]."""
+    network: tuple[int, ...] = (256, 256)
+    """Widths of the hidden layers of actor and critic."""
+    activation: Literal["relu", "elu", "tanh"] = "elu"
+    """Between the layers."""
+    normalise_observations: bool = True
+    """Bring observations to mean 0 and deviation 1 by what was seen so far."""
+
+    def __post_init__(self) -> None:
+        check_whole(self, rollout_steps=1, epochs=1, minibatches=1)
+        check_numbers(
+            self,
+            positive=("clip", "learning_rate", "desired_kl", "max_grad_norm", "initial_std"),
+            not_negative=("value_weight", "entropy_weight"),
+            fractions=("gamma", "gae_lambda"),
+        )
+        check_network(self.network)
+
+
+def check_network(widths: tuple[int, ...]) -> None:
+    """Raise InvalidInput where these are no widths of hidden layers."""
+    if not widths or any(not isinstance(n, int) or n < 1 for n in widths):
+        raise InvalidInput(f"network is {widths}; expected layer widths of at least 1")
