@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dexctl.files import aside
 from learning.envs.noise import SensorNoise
 from learning.evaluate import Evaluation
+from dexctl.files import aside
 from learning.statistics import wilson
 from learning.transfer import Transfer
 
