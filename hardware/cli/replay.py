@@ -45,7 +45,8 @@ class ReplayLog(HandOptions):
         target = folder / "run.mcap"
         if target.exists() and self.log.exists() and target.samefile(self.log):
             raise InvalidInput(f"--out is the folder of {self.log} itself; expected another one")
-        limits = self.limits(log.run["limits"]["speed"], log.run["limits"]["torque"])
+        was = log.run["limits"]
+        limits = self.limits(was["speed_limit"], was["torque_limit"])
         replay = Replay(model, q_target, control_period=period)
         with self.open(limits, period) as session, LogWriter(target) as writer:
             writer.write("/run", about(self, f"replay of {self.log.name}", calibration, limits))
