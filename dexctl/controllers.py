@@ -8,6 +8,7 @@ returns the `Controller`. It is loaded when it is made, not before.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
@@ -29,6 +30,12 @@ class Hold(Controller):
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Nothing to forget."""
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed()
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        self._parts(saved)
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)

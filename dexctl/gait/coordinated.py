@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from dexctl.gait.selection import Grasps, choose, holds_without
 from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 from dexctl.limits import SetPointLimits
+from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Floats, GraspState
 from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Phase
 from dexctl.switch.landing import azimuth, landing_at, split, turned
@@ -119,6 +121,37 @@ class CoordinatedGait(Controller):
         else:
             self._fresh = self._fresh | check_mask(mask, self._fresh.shape)
 
+    def _arrays(self) -> dict[str, np.ndarray]:
+        assert self._fresh is not None
+        return {"fresh": self._fresh, "neutral": self._neutral, "wait": self._wait}
+
+    def state_dict(self) -> dict[str, Any]:
+        met = (
+            None
+            if self._fresh is None
+            else {
+                **copies(self._arrays()),
+                "switch": self.switch.state_dict(),
+                "odometry": self._odometry.state_dict(),
+            }
+        )
+        return self._signed(in_grasp=self.in_grasp.state_dict(), met=met)
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        parts = self._parts(saved, "in_grasp", "met")
+        self.in_grasp.load_state_dict(parts["in_grasp"])
+        met = parts["met"]
+        if met is None:
+            self._fresh = None
+            return
+        own = type(self).__name__
+        (count,) = batch_shape(own, met, "wait") or (0,)
+        self._allocate(count)
+        check_names(own, met, (*self._arrays(), "switch", "odometry"))
+        fill(own, self._arrays(), met)
+        self.switch.load_state_dict(met["switch"])
+        self._odometry.load_state_dict(met["odometry"])
+
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
         if state.batch_shape:
@@ -179,11 +212,7 @@ class CoordinatedGait(Controller):
         """Allocate for a batch met for the first time; take references of those just reset."""
         count = len(state.q)
         if self._fresh is None:
-            self.switch.start(count)
-            self._fresh = np.ones(count, bool)
-            self._neutral = np.zeros((count, self.hand.n_fingers, 3))
-            self._odometry.start(count)
-            self._wait = np.zeros(count)
+            self._fresh = self._allocate(count)
         if len(self._fresh) != count:
             raise InvalidInput(
                 f"the controller was reset for {len(self._fresh)} hands and got {count}; call "
@@ -206,6 +235,15 @@ class CoordinatedGait(Controller):
         self._wait[fresh] = 0.0
         self.switch.clear(fresh)
         self._fresh = np.zeros(count, bool)
+
+    def _allocate(self, count: int) -> np.ndarray:
+        """Everything for ``count`` hands that have just been reset: all of them."""
+        self.switch.start(count)
+        self._odometry.start(count)
+        self._fresh = np.ones(count, bool)
+        self._neutral = np.zeros((count, self.hand.n_fingers, 3))
+        self._wait = np.zeros(count)
+        return self._fresh
 
     def _begin(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
         """Start switches where none is under way and a finger can be spared."""

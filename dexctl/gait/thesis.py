@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -74,6 +75,14 @@ class FingerGaiting(Controller):
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self.in_grasp.reset(seed, mask)
         self.profile.reset(seed, mask)
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed(in_grasp=self.in_grasp.state_dict(), profile=self.profile.state_dict())
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        parts = self._parts(saved, "in_grasp", "profile")
+        self.in_grasp.load_state_dict(parts["in_grasp"])
+        self.profile.load_state_dict(parts["profile"])
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)

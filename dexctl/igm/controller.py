@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib.util import find_spec
 from typing import Any, NamedTuple
@@ -107,6 +108,12 @@ class InGraspManipulation(Controller):
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self._reference.reset(mask)
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed(reference=self._reference.state_dict())
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        self._reference.load_state_dict(self._parts(saved, "reference")["reference"])
 
     def act(self, state: GraspState) -> Floats:
         return self.command(state, _ALL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,8 +14,9 @@ from dexctl.exceptions import InvalidInput
 from dexctl.grasp import is_force_closure
 from dexctl.hand import HandModel
 from dexctl.limits import SetPointLimits
+from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.streams import Streams
+from dexctl.streams import LateStreams
 from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Indices, Phase
 from dexctl.switch.landing import landing_at, split, turned, unit_across
 from dexctl.switch.profile import SwitchProfile, random_contact
@@ -106,6 +108,13 @@ class ContactSwitch(Controller):
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self._part.reset(seed, mask)
 
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed(**{self.config.kind: self._part.state_dict()})
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        kind = self.config.kind
+        self._part.load_state_dict(self._parts(saved, kind)[kind])
+
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
         check_finite(state)
@@ -125,6 +134,8 @@ class _Profile:
             control_period=control_period,
         )
         self.reset = self._profile.reset
+        self.state_dict = self._profile.state_dict
+        self.load_state_dict = self._profile.load_state_dict
 
     def act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
         self._profile.begin(state)
@@ -142,22 +153,50 @@ class _Guarded:
         self._dt = control_period
         self._switch = GuardedSwitch(hand, axis, config.switch, control_period)
         self._limits = SetPointLimits(hand, config.max_joint_speed, config.max_lead, control_period)
-        self._seed: ArrayLike = 0
-        self._streams: Streams | None = None
+        self._streams = LateStreams()
+        self._wait = np.zeros(0)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
-        if mask is None or self._streams is None:
-            self._seed = self._seed if seed is None else seed
-            if seed is not None or self._streams is None:
-                self._streams = None
-            self._wait = np.zeros(0)
-            self._switch.start(0)
+        if mask is None:
+            self._streams.reset(seed)
+            self._allocate(0)
             return
+        if not len(self._wait):
+            self._allocate(np.size(mask))
         chosen = check_mask(mask, self._wait.shape)
         self._switch.clear(chosen)
         self._wait[chosen] = 0.0
-        if seed is not None:
-            self._streams.reseed(seed, chosen)
+        self._streams.reset(seed, chosen)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            **copies({"wait": self._wait}),
+            "switch": self._switch.state_dict(),
+            "streams": self._streams.state_dict(),
+        }
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        check_names("guarded switching", saved, ("wait", "switch", "streams"))
+        (count,) = batch_shape("guarded switching", saved, "wait") or (0,)
+        self._meet(count)
+        fill("guarded switching", {"wait": self._wait}, saved)
+        self._switch.load_state_dict(saved["switch"])
+        self._streams.load_state_dict(saved["streams"])
+
+    def _allocate(self, count: int) -> None:
+        self._switch.start(count)
+        self._wait = np.zeros(count)
+
+    def _meet(self, count: int) -> None:
+        """Make room for N hands, unless others are switching."""
+        if len(self._wait) == count:
+            return
+        if self._switch.phase.any():
+            raise InvalidInput(
+                f"{len(self._wait)} hands are switching and the state has {count}; "
+                "call reset() before the batch shape changes"
+            )
+        self._allocate(count)
 
     def act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
         if state.batch_shape:
@@ -166,17 +205,7 @@ class _Guarded:
         return action[0], {name: value[0] for name, value in diagnostics.items()}
 
     def _act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
-        count = len(state.q)
-        if self._streams is None or len(self._switch.phase) != count:
-            if self._switch.phase.any():
-                raise InvalidInput(
-                    f"{len(self._switch.phase)} hands are switching and the state has {count}; "
-                    "call reset() before the batch shape changes"
-                )
-            if self._streams is None or self._streams.batch_shape != (count,):
-                self._streams = Streams(self._seed, (count,))
-            self._switch.start(count)
-            self._wait = np.zeros(count)
+        self._meet(len(state.q))
         now = self._hand.configuration(state.q)
         tip = now.fingertip_position
         origin = state.object_centre()
@@ -194,11 +223,10 @@ class _Guarded:
         }
 
     def _begin(self, state: GraspState, tip: Floats, origin: Floats) -> None:
-        assert self._streams is not None
         busy = self._switch.phase != Phase.IDLE
         self._wait = np.where(busy, self._config.pause, self._wait - self._dt)
         ready = ~busy & (self._wait <= 0.5 * self._dt) & (state.in_contact.sum(axis=1) >= 4)
-        draw = self._streams.uniform((), ready)
+        draw = self._streams.of(ready.shape).uniform((), ready)
         if not ready.any():
             return
         finger = np.where(ready, random_contact(state.in_contact, draw), 0)

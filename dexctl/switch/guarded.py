@@ -7,9 +7,10 @@ object's shape but the planes that were touched.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from dexctl.configuration import HandConfiguration
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
+from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.landing import Landing, round_the_axis, unit_across
 from dexctl.switch.paths import JointPath, SwingPaths
@@ -136,10 +138,40 @@ class GuardedSwitch:
         self.clock = np.zeros(count)
         self._outward = np.zeros((count, 3))
         self._lift_tip = np.zeros((count, 3))
-        self._radius = np.zeros(count)
         self._landing = Landing(np.zeros((count, 3)), np.zeros((count, 3)))
         self._anchor = np.zeros((count, 3))
         self._paths: dict[int, JointPath] = {}
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {
+            "phase": self.phase,
+            "finger": self.finger,
+            "clock": self.clock,
+            "outward": self._outward,
+            "lift_tip": self._lift_tip,
+            "landing_tip": self._landing.tip,
+            "landing_normal": self._landing.normal,
+            "anchor": self._anchor,
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the switches under way, to be given to `load_state_dict`."""
+        paths = {str(row): copies(path._asdict()) for row, path in self._paths.items()}
+        return {**copies(self._arrays()), "paths": paths}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue with saved switches, of as many hands as they are of.
+
+        Raises:
+            InvalidInput: they are none.
+        """
+        check_names("a guarded switch", saved, (*self._arrays(), "paths"))
+        (count,) = batch_shape("a guarded switch", saved, "phase") or (0,)
+        self.start(count)
+        fill("a guarded switch", self._arrays(), saved)
+        for row, path in saved["paths"].items():
+            parts = check_names("a path", path, JointPath._fields)
+            self._paths[int(row)] = JointPath(**copies(parts))
 
     def clear(self, mask: Bools) -> None:
         """Idle again in the hands in ``mask``."""
