@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any, Protocol, TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -60,11 +64,40 @@ def check_twist(twist: object) -> None:
         )
 
 
-def check_axis(axis: object) -> None:
-    """Raise InvalidInput where ``axis`` is not a direction."""
+def unit_axis(axis: object) -> tuple[float, float, float]:
+    """The unit vector along ``axis``; InvalidInput where it is not a direction."""
     try:
         array = np.asarray(axis, float)
     except (TypeError, ValueError):
         array = np.empty(0)
     if array.shape != (3,) or not np.isfinite(array).all() or not array.any():
         raise InvalidInput(f"axis is {axis!r}; expected three finite numbers, not all zero")
+    x, y, z = array / np.linalg.norm(array)
+    return float(x), float(y), float(z)
+
+
+class Turnable(Protocol):
+    """Settings of a controller that turns objects."""
+
+    def about(self, axis: object) -> Any:
+        """The same with the rotation about ``axis`` ``(3,)``, at the same speed."""
+        ...
+
+
+C = TypeVar("C", bound=Turnable)
+
+
+def with_changes(config: C, changes: Mapping[str, Any], axis: object = None) -> C:
+    """The settings with single ones changed, and then turned about ``axis``; None leaves it.
+
+    Raises:
+        InvalidInput: there is no such setting, or a value is out of range.
+    """
+    known = [field.name for field in fields(config)]  # type: ignore[arg-type]
+    for name in changes:
+        if name not in known:
+            raise InvalidInput(
+                f"{type(config).__name__} has no setting {name!r}; known: {', '.join(known)}"
+            )
+    changed = replace(config, **changes)  # type: ignore[type-var]
+    return changed if axis is None else changed.about(axis)

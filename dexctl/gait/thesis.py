@@ -14,26 +14,27 @@ from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 from dexctl.state import Floats, GraspState
 from dexctl.switch.profile import SwitchProfile
-from dexctl.validation import check_kind, check_numbers
+from dexctl.validation import check_kind, check_numbers, with_changes
 
 
 @dataclass(frozen=True, kw_only=True)
 class FingerGaitingConfig:
-    """Settings of `FingerGaiting`.
-
-    Attributes:
-        in_grasp: of in-grasp manipulation; the thesis's by default.
-        duration: of one switch [s]; the thesis's H is duration / control_period (not published).
-        speed: joint speeds of a switch are drawn between these [rad/s].
-    """
+    """Settings of `FingerGaiting`."""
 
     in_grasp: InGraspManipulationConfig = field(default_factory=InGraspManipulationConfig.thesis)
+    """Of in-grasp manipulation; the thesis's by default."""
     duration: float = 1.0
+    """Of one switch [s]; the thesis's H is duration / control_period (not published)."""
     speed: tuple[float, float] = (0.1, 0.4)
+    """Joint speeds of a switch are drawn between these [rad/s]."""
 
     def __post_init__(self) -> None:
         check_kind(self, in_grasp=InGraspManipulationConfig)
         check_numbers(self, positive=("duration",))
+
+    def about(self, axis: object) -> FingerGaitingConfig:
+        """The same with the rotation about ``axis`` ``(3,)``, of any length, at the same speed."""
+        return replace(self, in_grasp=self.in_grasp.about(axis))
 
 
 class FingerGaiting(Controller):
@@ -48,6 +49,8 @@ class FingerGaiting(Controller):
         hand: the hand; every finger needs three joints of its own.
         config: the settings; keyword arguments change single ones.
         control_period: [s].
+        axis: about which the object is to be turned, ``(3,)``, at the speed of the settings; None
+            keeps their axis.
     """
 
     def __init__(
@@ -56,19 +59,20 @@ class FingerGaiting(Controller):
         config: FingerGaitingConfig | None = None,
         *,
         control_period: float = 0.05,
+        axis: ArrayLike | None = None,
         **changes: Any,
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = replace(config or FingerGaitingConfig(), **changes)
+        self.config = with_changes(config or FingerGaitingConfig(), changes, axis)
         self.in_grasp = InGraspManipulation(
             hand, self.config.in_grasp, control_period=control_period
         )
-        axis = np.array(self.config.in_grasp.twist[3:])
+        spin = np.array(self.config.in_grasp.twist[3:])
         self.profile = SwitchProfile(
             hand,
             duration=self.config.duration,
             speed=self.config.speed,
-            axis=axis if axis.any() else (0.0, 0.0, 1.0),
+            axis=spin if spin.any() else (0.0, 0.0, 1.0),
             control_period=control_period,
         )
 

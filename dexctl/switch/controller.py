@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,63 +16,11 @@ from dexctl.limits import SetPointLimits
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import LateStreams
-from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Indices, Phase
+from dexctl.switch.config import ContactSwitchConfig
+from dexctl.switch.guarded import GuardedSwitch, Indices, Phase
 from dexctl.switch.landing import landing_at, split, turned, unit_across
 from dexctl.switch.profile import SwitchProfile, random_contact
-from dexctl.validation import check_axis, check_kind, check_mask, check_numbers
-
-KINDS = ("profile", "guarded")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactSwitchConfig:
-    """Settings of `ContactSwitch`.
-
-    Attributes:
-        kind: "profile" is the thesis's fixed trajectory of joint speeds; "guarded" unloads,
-            lifts, places and loads in Cartesian space, and only where the others can hold.
-        axis: of the object's rotation; fingers are moved against it.
-        duration, speed: of the profile [s], [rad/s] (see `SwitchProfile`).
-        switch: of the guarded switch.
-        swing: how far a guarded switch carries a finger about the axis [rad].
-        pause: between two guarded switches [s].
-        friction: assumed by the force-closure guard.
-        hold_force: normal force to which a placed finger is loaded [N].
-        stability_gain: set-point speed per force error while loading [m/(N s)].
-        max_joint_speed: guarded set-points move at most this fast [rad/s].
-        max_lead: guarded set-points stay this close to the measured joints [rad].
-    """
-
-    kind: str = "profile"
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    duration: float = 1.0
-    speed: tuple[float, float] = (0.1, 0.4)
-    switch: GuardedSwitchConfig = field(default_factory=GuardedSwitchConfig)
-    swing: float = 0.4
-    pause: float = 0.5
-    friction: float = 0.8
-    hold_force: float = 1.5
-    stability_gain: float = 0.025
-    max_joint_speed: float = 2.0
-    max_lead: float = 0.25
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InvalidInput(f"kind is {self.kind!r}; expected one of {', '.join(KINDS)}")
-        check_numbers(
-            self,
-            positive=(
-                "duration",
-                "friction",
-                "hold_force",
-                "stability_gain",
-                "max_joint_speed",
-                "max_lead",
-            ),
-            not_negative=("swing", "pause"),
-        )
-        check_kind(self, switch=GuardedSwitchConfig)
-        check_axis(self.axis)
+from dexctl.validation import check_mask, unit_axis, with_changes
 
 
 class ContactSwitch(Controller):
@@ -85,6 +32,8 @@ class ContactSwitch(Controller):
         hand: the hand.
         config: the settings; keyword arguments change single ones.
         control_period: [s].
+        axis: about which the object is to be turned, ``(3,)``, at the speed of the settings; None
+            keeps their axis.
     """
 
     def __init__(
@@ -93,17 +42,17 @@ class ContactSwitch(Controller):
         config: ContactSwitchConfig | None = None,
         *,
         control_period: float = 0.05,
+        axis: ArrayLike | None = None,
         **changes: Any,
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = config = replace(config or ContactSwitchConfig(), **changes)
-        axis = np.array(config.axis, float)
-        axis /= np.linalg.norm(axis)
+        self.config = config = with_changes(config or ContactSwitchConfig(), changes, axis)
+        turning = np.array(unit_axis(config.axis))
         self._part: _Profile | _Guarded
         if config.kind == "profile":
-            self._part = _Profile(hand, config, axis, control_period)
+            self._part = _Profile(hand, config, turning, control_period)
         else:
-            self._part = _Guarded(hand, config, axis, control_period)
+            self._part = _Guarded(hand, config, turning, control_period)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self._part.reset(seed, mask)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
@@ -35,6 +36,7 @@ def learned(
     *,
     control_period: float | None = None,
     policy: str | Path | None = None,
+    axis: ArrayLike | None = None,
 ) -> Policy:
     """The controller of the name "learned": a policy that was trained on ``hand``.
 
@@ -43,6 +45,7 @@ def learned(
         control_period: must be the one that the policy was trained with [s]; None takes it.
         policy: one of `names`, or a policy file (``.npz``); None is the first that was trained on
             a hand of this name, one for several objects before those for single ones.
+        axis: whichever; a policy turns about the axis that it was trained with.
 
     Raises:
         UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.
