@@ -13,7 +13,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 import tyro
@@ -191,7 +201,9 @@ def _fit(kind: Any, value: Any, where: str) -> tuple[bool, Any]:
     if kind is type(None):
         return value is None, None
     if origin is Literal:
-        return any(value is one or (type(value) is type(one) and value == one) for one in inner), value
+        return any(
+            value is one or (type(value) is type(one) and value == one) for one in inner
+        ), value
     if is_dataclass(kind):
         if isinstance(value, kind):
             return True, value

@@ -84,7 +84,9 @@ class Sensor:
         if not self._steps:
             return seen
         now = {name: getattr(seen, name) for name in _SENSED if getattr(seen, name) is not None}
-        now = {name: np.broadcast_to(v, (len(state.q), *np.shape(v)[1:])) for name, v in now.items()}
+        now = {
+            name: np.broadcast_to(v, (len(state.q), *np.shape(v)[1:])) for name, v in now.items()
+        }
         if not self._past:
             self._past = [now] * (self._steps + 1)
         elif begin is None:
