@@ -42,9 +42,7 @@ class HandLimits:
     @classmethod
     def real(cls) -> HandLimits:
         """Those of the thesis's hand."""
-        return cls(
-            speed_limit=REAL_SPEED, torque_limit=REAL_TORQUE, action_latency=REAL_LATENCY
-        )
+        return cls(speed_limit=REAL_SPEED, torque_limit=REAL_TORQUE, action_latency=REAL_LATENCY)
 
 
 class SetPointLimits:
