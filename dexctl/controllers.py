@@ -247,8 +247,8 @@ def resolve(
     Args:
         name: a controller by name (`names`), a policy by name (``dex5-cylinder``), a policy file
             (``.npz``), a run folder, or ``module:function``, which is called as
-            ``function(hand, control_period=..., axis=...)``, without what is None and without an
-            axis where it takes none.
+            ``function(hand, control_period=..., axis=...)``, without what is None; one that takes
+            no axis turns about z.
         hand: the hand.
         control_period: time between two calls of ``act`` [s]; None: what the controller's class
             takes by itself, and a policy what it was trained with.
@@ -257,7 +257,8 @@ def resolve(
     Raises:
         UnknownName: it is none of these.
         InvalidInput: a damaged or missing file, a policy for another hand or period, or a function
-            that cannot be called so or makes something else than a controller.
+            that cannot be called so, takes no axis but is given one other than z, or makes
+            something else than a controller.
         RoomShadowed: it needs a package of dexctl's that another one shadows.
     """
     if name in names() and name != POLICIES:
@@ -289,7 +290,9 @@ def _called(name: str, hand: HandModel, options: dict[str, Any]) -> Controller:
     given = {key: value for key, value in options.items() if value is not None}
     kinds = {parameter.kind for parameter in takes.parameters.values()}
     if "axis" not in takes.parameters and Parameter.VAR_KEYWORD not in kinds:
-        given.pop("axis", None)
+        axis = given.pop("axis", None)
+        if axis is not None and tuple(axis) != (0.0, 0.0, 1.0):
+            raise InvalidInput(f"{name} takes no axis, so it turns about z; got {axis}")
     try:
         takes.bind(hand, **given)
     except TypeError as error:

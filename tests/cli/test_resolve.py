@@ -75,8 +75,10 @@ def test_policies(dex5: dexctl.HandModel, run_folder: Path) -> None:
 
 def test_functions(dex5: dexctl.HandModel) -> None:
     assert resolve(f"{__name__}:plain", dex5).control_period == 0.02
-    turned = resolve(f"{__name__}:plain", dex5, control_period=0.1, axis=(1.0, 0.0, 0.0))
+    turned = resolve(f"{__name__}:plain", dex5, control_period=0.1, axis=(0.0, 0.0, 1.0))
     assert turned.control_period == 0.1
+    with pytest.raises(InvalidInput, match=r"plain takes no axis, so it turns about z; got \(1"):
+        resolve(f"{__name__}:plain", dex5, axis=(1.0, 0.0, 0.0))
     made: Any = resolve(f"{__name__}:about", dex5, control_period=0.1, axis=(1.0, 0.0, 0.0))
     assert made.options == {"control_period": 0.1, "axis": (1.0, 0.0, 0.0)}
 
