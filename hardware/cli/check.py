@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dexctl.cli.output import notes, print_json, results, to_json
+from dexctl.cli.output import columns, notes, print_json, results, to_json
 from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput
 from dexctl.files import write_text
@@ -252,29 +252,14 @@ class _Look:
 
     def print(self) -> None:
         """As a table."""
-        from rich.table import Table
-
         console = results()
         timer = self.hand.bus.latency_timer
         known = "" if timer is None else f", latency timer {1e3 * timer:.0f} ms"
         console.print(f"port {self.hand.bus.port}{known}", soft_wrap=True)
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        headings = (
-            "servo",
-            "joint",
-            "model",
-            "fw",
-            "V",
-            "C",
-            "rad",
-            "mode",
-            "N m",
-            "C max",
-            "error",
+        table = columns(
+            ("servo", "joint", "model", "fw", "V", "C", "rad", "mode", "N m", "C max", "error"),
+            left=("joint", "error"),
         )
-        for heading in headings:
-            side = "left" if heading in ("joint", "error") else "right"
-            table.add_column(heading, justify=side, no_wrap=heading != "error")
         for row in self.rows:
             table.add_row(
                 str(row["servo"]),

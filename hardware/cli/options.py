@@ -61,19 +61,19 @@ class HandOptions:
     hand: str = "dex5"
     """Name of the hand (`dexctl hands` lists them)."""
     port: str | None = None
-    """Serial port of the servos; found by itself where there is only one."""
+    """Serial port of the servos; none: the only one there is."""
     emulate: bool = False
     """Run against emulated servos instead of a hand."""
     calibration: Path | None = None
-    """File that `dexctl hardware calibrate` wrote; default servos 1 to d, straight."""
+    """File that `dexctl hardware calibrate` wrote; none: servos 1 to d, mounted straight."""
     baudrate: int = 4_000_000
-    """Of the servos [bit/s]."""
+    """Speed of the bus [bit/s]."""
     stiffness: float = 3.0
-    """Of the servos' position loop [N m/rad], by the conversion of `hardware.units`."""
+    """Stiffness of the servos' position loop [N m/rad], by the conversion of `hardware.units`."""
     damping: float = 0.15
-    """Of the same [N m s/rad]."""
+    """Damping of the servos' position loop [N m s/rad]."""
     action_latency: float = 0.0
-    """Of emulated servos, from a set-point to its effect [s]; the thesis's hand has 0.05."""
+    """Time from a set-point to its effect in emulated servos [s]; the thesis's hand has 0.05."""
     patience: float = 1.0
     """Allow so many times more silence, age and overruns, 1 to 10: to emulate on a busy machine."""
 

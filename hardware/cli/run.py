@@ -13,13 +13,14 @@ import numpy as np
 import tyro
 
 from dexctl import Controller, HandModel, controllers
-from dexctl.cli.output import notes, print_json, results
+from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import check_seconds, make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.limits import REAL_SPEED, REAL_TORQUE
 from hardware import report
 from hardware.calibration import Calibration
 from hardware.cli.options import HandOptions, Session, busy
+from hardware.figures import figures_of_merit, in_words
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
 from hardware.motions import Sine
@@ -41,24 +42,25 @@ class Run(HandOptions):
     and takes the torque off; a second one takes it off at once.
     """
 
-    controller: Annotated[str, tyro.conf.Positional]
-    """igm, switch, gait, coordinated, learned, hold, sine; a policy file; or module:function."""
+    controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER")]
+    """igm, switch, gait, coordinated, learned, hold or sine; a policy's name, file or run
+    folder; or module:function."""
     seconds: float = 30.0
     """How long the controller runs [s]."""
     rate: float | None = None
-    """Control rate [Hz]; default 50, and what it was trained at for a learned policy."""
+    """Control rate [Hz]; none: 50, or the rate that a learned policy was trained at."""
     object: str = "auto"
     """What is held: cube, cylinder, sphere...; none; auto: cylinder, or none for sine."""
     gravity: str = "up"
     """Which way the palm looks: up or down."""
     tactile: str | None = None
-    """Serial port of the tactile fingertips."""
+    """Serial port of the tactile fingertips; emulated ones need none."""
     speed_limit: float = REAL_SPEED
-    """Speed limit of the joints [rad/s]."""
+    """Fastest set-point of a joint [rad/s], at most 3."""
     torque_limit: float = REAL_TORQUE
-    """Torque limit of the joints [N m]."""
+    """Largest torque of a joint [N m], at most 3."""
     seed: int = 0
-    """Of the controller."""
+    """Seed of the controller's random numbers."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html."""
     json: bool = False
@@ -186,7 +188,7 @@ def truth(session: Session) -> Mapping[str, Any]:
 def finish(found: RunReport, folder: Path, *, as_json: bool) -> int:
     """Report, summary and exit code of a run: 0 as wanted, 1 held or failed, 130 interrupted."""
     log = read_log(folder / "run.mcap")
-    merits = report.figures_of_merit(log)
+    figures = figures_of_merit(log)
     try:
         report.write(log, folder / "report.html")
         written = "run.mcap and report.html"
@@ -194,13 +196,12 @@ def finish(found: RunReport, folder: Path, *, as_json: bool) -> int:
         notes().print(f"no report: {error}")
         written = "run.mcap"
     if as_json:
-        print_json({"command": "run", **found.as_dict(), "figures": merits, "folder": str(folder)})
+        print_json({"command": "run", **found.as_dict(), "figures": figures, "folder": str(folder)})
     else:
         console = results()
         cause = f" ({found.cause.value})" if found.cause else ""
         console.print(f"outcome: {found.outcome.value}{cause}; {found.torque_message}")
-        for name, value in merits.items():
-            console.print(f"  {name:<20} {value:.4g}")
+        console.print(facts(in_words(figures)))
         console.print(f"in {folder}: {written}", soft_wrap=True)
     if found.outcome is not State.IDLE:
         return 1
