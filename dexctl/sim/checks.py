@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
+
+GRAVITY = {"up": (0.0, 0.0, -9.81), "down": (0.0, 0.0, 9.81)}
 
 
 def count(name: str, value: object) -> int:
@@ -30,6 +32,15 @@ def vector(name: str, value: ArrayLike | None, length: int) -> Floats:
     if numbers.shape != (length,) or not np.isfinite(numbers).all():
         raise InvalidInput(f"{name} is {value}; expected {length} finite numbers")
     return numbers
+
+
+def gravity_vector(gravity: str | ArrayLike) -> Floats:
+    """``(3,)`` [m/s^2] from "up", "down" (which way the palm looks) or a vector."""
+    if isinstance(gravity, str):
+        if gravity not in GRAVITY:
+            raise UnknownName("gravity", gravity, [*GRAVITY, "a vector (x, y, z) in m/s^2"])
+        return np.array(GRAVITY[gravity])
+    return vector("gravity", gravity, 3)
 
 
 def rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:

@@ -23,7 +23,8 @@ class GroupedSimulator:
 
     Args:
         groups: (scene, number of environments) pairs; the scenes have the same hand.
-        control_period, substeps, threads, touch_threshold, disturbance, seed: as `BatchSimulator`'s.
+        control_period, substeps, threads, touch_threshold, disturbance, seed: as
+            `BatchSimulator`'s.
 
     Attributes:
         groups: the `BatchSimulator` of each group.
@@ -192,6 +193,11 @@ class GroupedSimulator:
     def start_position(self) -> Floats:
         """The object's centre after the last reset, ``(N, 3)`` [m]."""
         return self._gather(lambda group: group.start_position)
+
+    @property
+    def friction(self) -> Floats:
+        """Sliding friction coefficient between object and fingertips, ``(N,)``."""
+        return self._gather(lambda group: group.friction)
 
     @property
     def qpos(self) -> Floats:

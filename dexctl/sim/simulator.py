@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.rotations import inverse, multiply, rotation_vector
 from dexctl.sim import checks
-from dexctl.sim.parameters import ParameterSet
+from dexctl.sim.parameters import ParameterSet, fingertip_friction
 from dexctl.sim.physics_state import INPUT, PhysicsLayout, SimulatorState
 from dexctl.sim.scene import Scene
 from dexctl.sim.tactile import TouchReading, TouchSensors
@@ -299,6 +299,12 @@ class BatchSimulator:
     def parameters(self) -> dict[str, Floats]:
         """What `set_parameters` was given, ``(N,)`` each."""
         return self._parameters.values
+
+    @property
+    def friction(self) -> Floats:
+        """Sliding friction coefficient between object and fingertips, ``(...)``."""
+        models = self._parameters.models
+        return self._out(np.array([fingertip_friction(self.scene, model) for model in models]))
 
     def save(self) -> SimulatorState:
         """All that decides the future, to be given to :meth:`restore`.
