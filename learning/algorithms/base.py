@@ -177,5 +177,9 @@ def whole(name: str, value: object, least: int = 1) -> None:
 
 def check_network(widths: object) -> None:
     """Raise InvalidInput where these are not widths of hidden layers."""
-    if not isinstance(widths, tuple) or not widths or any(not isinstance(n, int) or n < 1 for n in widths):
+    if (
+        not isinstance(widths, tuple)
+        or not widths
+        or any(not isinstance(n, int) or n < 1 for n in widths)
+    ):
         raise InvalidInput(f"network is {widths}; expected layer widths of at least 1")

@@ -179,7 +179,9 @@ class OffPolicy(Algorithm):
         found: dict[str, list[torch.Tensor]] = {}
         for _ in range(self.config.gradient_steps):
             self.updates += 1
-            for name, value in self._learn(self.replay.sample(self.config.batch_size), beta).items():
+            for name, value in self._learn(
+                self.replay.sample(self.config.batch_size), beta
+            ).items():
                 found.setdefault(name, []).append(value)
         self.statistics |= {name: float(torch.stack(v).mean()) for name, v in found.items()}
 
@@ -230,9 +232,7 @@ class OffPolicy(Algorithm):
             with torch.no_grad():
                 known = batch.observation[:, self._known]
                 guide_value = self.critic(known, batch.guide_action).amin(dim=0)
-        return cloning_weight(
-            self.cloning.weight, guide_value, policy_value.detach(), batch.guided
-        )
+        return cloning_weight(self.cloning.weight, guide_value, policy_value.detach(), batch.guided)
 
     def policy_layers(self) -> Layers:
         return layers(self.networks.get("averaged_actor", self.actor), self.action_size)

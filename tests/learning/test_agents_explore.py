@@ -220,23 +220,6 @@ def test_bad_guidance() -> None:
         Guide(Counting(), [], GuidanceConfig(method="vge"))
 
 
-def test_adapter_is_exact_about_the_end_of_episodes() -> None:
-    env = StableBaselinesVecEnv(Counting(3))
-    assert env.reset().tolist() == [[0, 0], [0, 1], [0, 2]]
-    actions = np.zeros((3, D))
-    _, _, done, infos = env.step(actions)
-    assert not done.any() and infos == [{}, {}, {}]
-    obs, _, done, infos = env.step(actions)
-    assert done.tolist() == [True, False, False] and np.asarray(obs)[0].tolist() == [0, 0]
-    assert infos[0]["terminal_observation"].tolist() == [2, 0]
-    assert infos[0]["TimeLimit.truncated"] is False
-    assert infos[0]["episode"] == {"r": 1.0, "l": 2}
-    _, _, done, infos = env.step(actions)
-    assert done.tolist() == [False, True, False]
-    assert infos[1]["TimeLimit.truncated"] is True
-    assert infos[1]["terminal_observation"].tolist() == [3, 1]
-
-
 @pytest.mark.parametrize("kind", [GuidedSAC, GuidedTD3])
 def test_what_is_remembered(kind: Any) -> None:
     """Next observations, ends and who acted, against what the environment is known to do."""
@@ -257,35 +240,3 @@ def test_what_is_remembered(kind: Any) -> None:
     assert 0.2 < guided.mean() < 0.8
     assert batch.actions.numpy()[guided] == pytest.approx(0.5)
     assert guide.acted.sum() == 200
-
-
-def test_replay_keeps_labels_beside_actions() -> None:
-    box = gymnasium.spaces.Box
-    buffer = GuidedReplayBuffer(
-        10, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", n_envs=5, labels=True, seed=0
-    )
-    step = {"obs": np.ones((5, 2)), "next_obs": np.zeros((5, 2)), "action": np.full((5, 3), 0.5)}
-    marked = np.array([True, False, True, False, True])
-    for reward in (1.0, 2.0, 3.0):  # the third step overwrites the first
-        buffer.add(
-            **step, reward=np.full(5, reward), done=np.zeros(5), guided=marked,
-            guide_action=np.full((5, 3), -reward),
-        )  # fmt: skip
-    batch = buffer.sample(300)
-    assert set(batch.rewards.flatten().tolist()) == {2.0, 3.0}
-    assert (batch.guide_actions == -batch.rewards).all() and (batch.actions == 0.5).all()
-    assert buffer.nbytes == 4 * 10 * (2 + 2 + 3 + 1 + 1 + 1 + 1 + 3)
-    again = GuidedReplayBuffer(10, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", 5, labels=True)
-    again.load_state_dict(buffer.state_dict())
-    assert (again.sample(50).rewards == buffer.sample(50).rewards).all()
-
-
-def test_replay_refuses_numbers_that_are_none() -> None:
-    box = gymnasium.spaces.Box
-    buffer = GuidedReplayBuffer(10, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", n_envs=2)
-    obs = np.array([[0.0, 0.0], [np.nan, 0.0]])
-    with pytest.raises(InvalidInput, match=r"environments \[1\] is not finite"):
-        buffer.add(obs, obs, np.zeros((2, 3)), np.zeros(2), np.zeros(2))
-    assert buffer.size() == 0
-    with pytest.raises(InvalidInput, match="holds 1 transitions"):
-        GuidedReplayBuffer(1, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", n_envs=2)

@@ -33,111 +33,6 @@ from learning.train import build, train
 BOX = gymnasium.spaces.Box
 
 
-def filled(steps: int, capacity: int = 20) -> GuidedReplayBuffer:
-    """Two environments; in step t they observe t and earn t and -t; one ends at 4, 9, 14 ...
-
-    The first of them is cut at 4 and terminates at 9, and so on in turn.
-    """
-    buffer = GuidedReplayBuffer(
-        2 * capacity, BOX(-1, 1, (1,)), BOX(-1, 1, (1,)), "cpu", 2, n_step=3, gamma=0.5, seed=0
-    )
-    for t in range(steps):
-        ended = np.array([t % 5 == 4, False])
-        buffer.add(
-            np.full((2, 1), t), np.full((2, 1), t + 1), np.zeros((2, 1)), np.array([t, -t]),
-            ended & (t % 10 == 9), ended=ended,
-        )  # fmt: skip
-    return buffer
-
-
-def rows(buffer: GuidedReplayBuffer) -> set[tuple[float, ...]]:
-    found = buffer.sample(3000)
-    assert found.discounts is not None
-    columns = (found.observations, found.next_observations, found.rewards, found.dones)
-    return set(zip(*(c[:, 0].tolist() for c in (*columns, found.discounts)), strict=True))
-
-
-def test_n_step_returns_by_hand() -> None:
-    found = rows(filled(12))
-    assert {
-        (1.0, 4.0, 1 + 2 / 2 + 3 / 4, 0.0, 0.125),  # three whole steps
-        (3.0, 5.0, 3 + 4 / 2, 0.0, 0.25),  # cut at 4: nothing of the next episode
-        (8.0, 10.0, 8 + 9 / 2, 1.0, 0.25),  # terminated at 9
-        (8.0, 11.0, -(8 + 9 / 2 + 10 / 4), 0.0, 0.125),  # the other one goes on
-        (11.0, 12.0, 11.0, 0.0, 0.5),  # the youngest step
-    } <= found
-
-
-def test_n_step_returns_never_join_the_youngest_and_the_oldest_step() -> None:
-    found = rows(filled(27))  # steps 20 to 26 stand where 0 to 6 were
-    assert min(row[0] for row in found) == 7.0
-    assert (26.0, 27.0, 26.0, 0.0, 0.5) in found
-    assert (25.0, 27.0, -(25 + 26 / 2), 0.0, 0.25) in found
-    assert (19.0, 22.0, -(19 + 20 / 2 + 21 / 4), 0.0, 0.125) in found
-    assert all(after - before <= 3 for before, after, *_ in found)
-
-
-def test_one_step_returns_are_the_rewards() -> None:
-    buffer = GuidedReplayBuffer(10, BOX(-1, 1, (1,)), BOX(-1, 1, (1,)), "cpu", 1)
-    buffer.add(np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.full(1, 3.0), np.zeros(1))
-    found = buffer.sample(4)
-    assert found.discounts is None
-    assert (found.rewards == 3.0).all()
-
-
-@pytest.mark.parametrize(
-    ("agent", "policy"), [(GuidedSAC, GuidedSACPolicy), (GuidedTD3, GuidedTD3Policy)]
-)
-def test_the_actor_sees_the_first_part_and_the_critics_all(agent: Any, policy: Any) -> None:
-    env = gymnasium.make("Pendulum-v1")  # three numbers observed
-    made = agent(
-        policy, env, device="cpu", seed=0, buffer_size=100,
-        policy_kwargs={"net_arch": [16], "actor_size": 2, "layer_norm": True},
-    )  # fmt: skip
-    obs = torch.zeros(1, 3)
-    other = torch.tensor([[0.0, 0.0, 1.0]])
-    with torch.no_grad():
-        assert (made.actor(obs, True) if agent is GuidedSAC else made.actor(obs)).equal(
-            made.actor(other, True) if agent is GuidedSAC else made.actor(other)
-        )
-        action = torch.zeros(1, 1)
-        assert not made.critic(obs, action)[0].equal(made.critic(other, action)[0])
-    for critic in (made.critic, made.critic_target):
-        assert sum(isinstance(module, nn.LayerNorm) for module in critic.modules()) == 2
-    for ours, theirs in zip(made.critic.parameters(), made.critic_target.parameters(), strict=True):
-        assert ours.equal(theirs)
-    watched = {id(p) for group in made.critic.optimizer.param_groups for p in group["params"]}
-    assert watched == {id(p) for p in made.critic.parameters()}
-
-
-def test_cloning_weights_by_hand() -> None:
-    guide_value = torch.tensor([[2.0], [-1.0], [3.0], [5.0]])
-    policy_value = torch.tensor([[1.0], [1.0], [4.0], [-2.0]])
-    guided = torch.tensor([[1.0], [1.0], [1.0], [0.0]])
-
-    def weights(kind: str) -> tuple[list[float], float]:
-        weight, scale = cloning_weight(kind, guide_value, policy_value, guided)
-        return weight.flatten().tolist(), float(scale)
-
-    assert weights("value") == ([2.0, 0.0, 3.0, 0.0], 1.0)
-    assert weights("equal") == ([1.0, 1.0, 1.0, 0.0], 2.0)  # mean |Q| of the policy's actions
-    assert weights("better") == ([1.0, 0.0, 0.0, 0.0], 2.0)
-
-
-def test_the_actor_is_updated_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = gymnasium.make("Pendulum-v1")
-    agent = GuidedSAC("MlpPolicy", env, device="cpu", seed=0, buffer_size=100, policy_delay=3)
-    agent.learn(20)
-    assert agent.replay_buffer is not None
-    made: list[int] = []
-    step = agent.actor.optimizer.step
-    monkeypatch.setattr(agent.actor.optimizer, "step", lambda: (made.append(1), step())[1])
-    before = agent._n_updates
-    agent.train(10, 8)
-    assert agent._n_updates == before + 10
-    assert len(made) == (before + 10) // 3 - before // 3
-
-
 class Waiting(dexctl.Controller):
     """Asks for the same change of every set-point."""
 
@@ -249,24 +144,6 @@ def test_recipes_on_the_command_line() -> None:
     assert config("--recipe", "fast", "--method", "rl").guidance.beta == GuidanceConfig().beta
     with pytest.raises(UnknownName, match="'slow'; known: thesis, fast"):
         config("--recipe", "slow")
-
-
-@pytest.mark.parametrize("kind", [GuidedSAC, GuidedTD3])
-def test_the_actor_is_averaged(kind: Any) -> None:
-    env = gymnasium.make("Pendulum-v1")
-    agent = kind("MlpPolicy", env, device="cpu", seed=0, buffer_size=100, average=0.9)
-    agent.learn(30)
-    expected = [p.detach().clone() for p in agent.averaged_actor.parameters()]
-    before = [p.detach().clone() for p in agent.actor.parameters()]
-    agent.train(2, 8)  # one update of TD3's actor, two of SAC's
-    if kind is GuidedTD3:
-        for old, new, mean in zip(
-            expected, agent.actor.parameters(), agent.averaged_actor.parameters(), strict=True
-        ):
-            torch.testing.assert_close(mean, 0.9 * old + 0.1 * new)
-    moved = [not a.equal(b) for a, b in zip(before, agent.actor.parameters(), strict=True)]
-    assert any(moved)
-    assert kind("MlpPolicy", env, device="cpu", seed=0, buffer_size=100).averaged_actor is None
 
 
 def test_the_kept_policy_is_the_mean(tmp_path: Path) -> None:
