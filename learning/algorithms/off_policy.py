@@ -147,7 +147,7 @@ class OffPolicy(Algorithm):
         if config.policy_average > 0:
             self.networks["averaged_actor"] = self.actor.copy()
         self.optimizers = {
-            name: torch.optim.Adam(self.networks[name].parameters, config.learning_rate, fused=True)
+            name: torch.optim.Adam([self.networks[name].flat], config.learning_rate, fused=True)
             for name in ("actor", "critic")
         }
 
@@ -239,8 +239,7 @@ class OffPolicy(Algorithm):
 
     @property
     def diverged(self) -> bool:
-        weights = [p for network in self.networks.values() for p in network.parameters]
-        return not all(bool(torch.isfinite(weight).all()) for weight in weights)
+        return not all(bool(torch.isfinite(net.flat).all()) for net in self.networks.values())
 
     def state_dict(self) -> dict[str, Any]:
         return {

@@ -53,7 +53,7 @@ class PPOConfig:
     learning_rate_end: float | None = None
     """What the learning rate falls to, linearly over the training; None: it stays."""
     target_kl: float | None = 0.01
-    """The learning rate adapts so that a minibatch changes the policy by about this; None: fixed."""
+    """The rate adapts so that a minibatch changes the policy by about this; None: it does not."""
     clip: float = 0.2
     """How far the ratio of densities and the values go from where they were, at most."""
     value_weight: float = 1.0
@@ -142,8 +142,8 @@ class PPO(Algorithm):
         self.actor = Perceptrons(1, (sizes["policy"], *config.network, action_size), **kwargs)
         self.critic = Perceptrons(1, (sizes["critic"], *config.network, 1), **kwargs)
         with torch.no_grad():  # the first actions are about 0 everywhere
-            self.actor.weights[-1] *= 0.01
-            self.actor.biases[-1] *= 0.01
+            self.actor.weights[-1].mul_(0.01)
+            self.actor.biases[-1].mul_(0.01)
         log_std = torch.full((action_size,), float(np.log(config.initial_deviation)), device=device)
         self.log_std = log_std.requires_grad_()
         self.networks = {"actor": self.actor, "critic": self.critic}
@@ -159,7 +159,7 @@ class PPO(Algorithm):
 
     @property
     def _weights(self) -> list[torch.Tensor]:
-        return [*self.actor.parameters, self.log_std, *self.critic.parameters]
+        return [self.actor.flat, self.log_std, self.critic.flat]
 
     def _inputs(self, observation: np.ndarray) -> dict[str, np.ndarray]:
         """What actor and critic are given of observations, by group."""
@@ -256,7 +256,7 @@ class PPO(Algorithm):
         loss = actor_loss - config.entropy_coefficient * entropy
         self.optimizer.zero_grad()
         (loss + config.value_weight * critic_loss).backward()
-        for weights in ([*self.actor.parameters, self.log_std], self.critic.parameters):
+        for weights in ([self.actor.flat, self.log_std], [self.critic.flat]):
             torch.nn.utils.clip_grad_norm_(weights, config.max_gradient)
         self.optimizer.step()
         return {

@@ -68,7 +68,7 @@ def test_by_hand_equals_autograd(rows: int, layer_norm: bool, widths: tuple[int,
     found = []
     for plain in (False, True):
         values = net(observation, action, plain=plain)
-        grads = torch.autograd.grad((weight * values).sum(), [action, *net.parameters])
+        grads = torch.autograd.grad((weight * values).sum(), [action, net.flat])
         found.append((values.detach(), *grads))
     for ours, theirs in zip(*found, strict=True):
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4)
@@ -78,8 +78,7 @@ def test_the_least_of_twins_by_hand() -> None:
     """Q_1 = relu(2 a), Q_2 = relu(a) + 0.5: the first is the least where 0 < a < 0.5."""
     net = made(2, (8, 1, 1))
     with torch.no_grad():
-        for p in net.parameters:
-            p.zero_()
+        net.flat.zero_()
         net.weights[0][:, 0, 5] = torch.tensor([2.0, 1.0])
         net.weights[1][:] = 1.0
         net.biases[1][1] = 0.5
@@ -89,7 +88,7 @@ def test_the_least_of_twins_by_hand() -> None:
     assert values[:, :, 0].tolist() == [[0.0, 0.5, 4.0], [0.5, 0.75, 2.5]]
     assert action.grad is not None
     assert action.grad.tolist() == [[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0]]
-    assert all(p.grad is None for p in net.parameters)
+    assert net.flat.grad is None
     one = net(torch.zeros(3, 5), action, frozen=True, first=True)
     assert one[:, :, 0].tolist() == [[0.0, 0.5, 4.0]]
 
@@ -109,7 +108,7 @@ def test_follow_and_copy() -> None:
         source.weights[0] += 1.0
     target.follow(source, 0.25)
     torch.testing.assert_close(target.weights[0], before + 0.25)
-    assert not any(p.requires_grad for p in target.parameters)
+    assert source.flat.requires_grad and not target.flat.requires_grad
 
 
 def test_product() -> None:
