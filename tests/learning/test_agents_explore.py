@@ -15,7 +15,7 @@ import dexctl
 from dexctl import controllers
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
-from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv
+from learning.agents import GuidedSAC, GuidedTD3, StableBaselinesVecEnv
 from learning.exploration import GuidanceConfig, Guide, commitment
 
 HAND = dexctl.hands.load("dex5")

@@ -12,16 +12,11 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-import torch
-from torch import nn
 
 import dexctl
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
 from learning import checkpoint
-from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3
-from learning.agents.losses import cloning_weight
-from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
 from learning.cli_train import Train
 from learning.envs import EnvConfig
 from learning.exploration import GuidanceConfig, Guide
