@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
 
 def notes() -> Console:
@@ -29,6 +31,22 @@ def print_json(result: Mapping[str, Any]) -> None:
 def to_json(result: Mapping[str, Any]) -> str:
     """As JSON text; arrays become lists, and what is not finite becomes null."""
     return json.dumps(_plain(result), indent=2, allow_nan=False)
+
+
+def table(*headings: str, right: Collection[str] = (), gap: int = 3, wrap: bool = True) -> Table:
+    """A table without lines; without headings it has no line of them.
+
+    Args:
+        headings: plain text, a column each.
+        right: those whose columns are flush right.
+        gap: between columns [letters].
+        wrap: whether cells may become several lines where the terminal is narrow.
+    """
+    made = Table(box=None, show_header=bool(headings), pad_edge=False, padding=(0, gap, 0, 0))
+    for heading in headings:
+        justify = "right" if heading in right else "left"
+        made.add_column(escape(heading), justify=justify, no_wrap=not wrap)
+    return made
 
 
 def progress(console: Console) -> Progress:
