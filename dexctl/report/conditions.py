@@ -6,7 +6,7 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import cache
 from typing import Any, get_type_hints
@@ -26,7 +26,7 @@ def conditions(
     machine: Mapping[str, Any],
     seed: int,
     scene: Scene | None = None,
-    axis: str | Iterable[float] | None = None,
+    axis: str | Sequence[float] | None = None,
     more: Iterable[tuple[str, str]] = (),
 ) -> str:
     """The section that says under what conditions a report's figures were found.

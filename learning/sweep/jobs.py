@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from learning.files import write_text
+from dexctl.files import write_text
 from learning.sweep.config import PlannedRun, SweepConfig
 
 RESULT, FAILURE, LOG = "result.json", "failure.json", "worker.log"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from dexctl.exceptions import InvalidInput
-from learning.files import write_text
+from dexctl.files import write_text
 from learning.sweep.config import SweepConfig, difference
 from learning.sweep.jobs import Job, Outcome, jobs, outcome
 
