@@ -57,11 +57,11 @@ class CheckGrasp:
         config = replace(self.scene, initial_states=None)
         if states is not None or count == 1:
             config = replace(config, disturbance=0.0)
-        if not self.json:
-            notes().print(f"holding the set-points for {self.seconds:g} s", style="dim")
         with simulation(config, count, self.seed) as sim:
             if states is not None:
                 sim.place(states, np.arange(count))
+            if not self.json:
+                notes().print(f"holding the set-points for {self.seconds:g} s", style="dim")
             try:
                 if states is None and count > 1:  # until then they touch as if undisturbed
                     grasp_at_rest(sim)

@@ -15,8 +15,11 @@ from dexctl import settings
 from dexctl.report import html, words
 from dexctl.sim import Scene, SceneConfig
 
-_SAID = ("hand", "object", "object_size", "object_mass", "gravity", "control_period", "substeps")
-_OF_NOBODY = ("threads",)  # settings that no figure depends on
+# Settings that `conditions` says in words of its own, and one that no figure depends on.
+_SAID = (
+    "hand", "object", "object_size", "object_mass", "gravity", "control_period", "substeps",
+    "initial_states", "disturbance", "threads",
+)  # fmt: skip
 
 
 def conditions(
@@ -69,7 +72,7 @@ def not_as_usual(config: SceneConfig) -> list[tuple[str, str]]:
     usual, rows = SceneConfig(), []
     for path in settings.paths(SceneConfig):
         value = settings.get(config, path)
-        if path in (*_SAID, *_OF_NOBODY) or value == settings.get(usual, path):
+        if path in _SAID or value == settings.get(usual, path):
             continue
         unit = units(SceneConfig).get(path, "")
         rows.append((path.rpartition(".")[2].replace("_", " "), f"{_shown(value)} {unit}".strip()))
@@ -102,6 +105,14 @@ def _object(config: SceneConfig, scene: Scene | None) -> str:
     said += [f"{config.object_mass:g} kg"]
     said += [] if scene is None else [f"friction {scene.friction():g}"]
     return ", ".join(said)
+
+
+def _start(config: SceneConfig) -> str:
+    states = config.initial_states
+    grasp = "settled grasp" if states is None else f"grasp states of {states}"
+    if not config.disturbance:
+        return grasp
+    return f"{grasp}, set-points disturbed by N(0, {config.disturbance:g} rad)"
 
 
 def _shown(value: Any) -> str:
