@@ -44,18 +44,20 @@ def conditions(
         more: further rows, (what, value).
     """
     versions = ", ".join(f"{name} {number}" for name, number in machine["versions"].items())
-    rows = [("command", command), ("hand", config.hand), ("object", _object(config, scene))]
-    rows.append(
-        ("gravity", config.palm if scene is None else f"{words.vector(scene.gravity)} m/s²")
-    )
+    gravity = config.palm if scene is None else f"{words.vector(scene.gravity.tolist())} m/s²"
+    rows = [
+        ("command", command),
+        ("hand", config.hand),
+        ("object", _object(config, scene)),
+        ("gravity", gravity),
+    ]
     if axis is not None:
-        rows.append(("axis", axis if isinstance(axis, str) else words.vector(list(axis))))
-    rows.append(
-        ("control", f"{1 / config.control_period:g} Hz, {config.substeps} physics steps each")
-    )
-    rows += not_as_usual(config)
-    rows += more
+        rows.append(("axis", axis if isinstance(axis, str) else words.vector(axis)))
     rows += [
+        ("control", f"{1 / config.control_period:g} Hz, {config.substeps} physics steps each"),
+        ("start", _start(config)),
+        *not_as_usual(config),
+        *more,
         ("seed", str(seed)),
         ("machine", f"{machine['processor']}, {machine['cores']} cores"),
         ("system", f"{machine['system']}, Python {machine['python']}"),
