@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from learning import policies
 from learning.agents import GuidedSAC, GuidedTD3, StableBaselinesVecEnv
 from learning.envs import FingerGaitingVectorEnv
 from learning.envs.observation import Observation
-from learning.policy import PolicySpec, save_policy
+from learning.policies import PolicySpec
 from learning.settings import TrainConfig
 
 Agent = GuidedSAC | GuidedTD3
@@ -42,7 +43,7 @@ def export_policy(
             **{name: version(name) for name in ("numpy", "torch", "stable-baselines3", "mujoco")},
         },
     }
-    save_policy(path, policy_layers(agent), spec, card)
+    policies.save(path, policy_layers(agent), spec, card)
 
 
 def policy_layers(agent: Agent) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -13,7 +13,7 @@ from dexctl.state import Floats, GraspState
 from learning.exploration.mixture import value_probabilities
 
 if TYPE_CHECKING:
-    from learning.policy import Policy
+    from learning.policies import Policy
     from learning.settings import TrainConfig
 
 _ROWS = 4096  # states valued at a time

@@ -17,7 +17,7 @@ from learning.inspection.onset import CAUSES, Drop, DropRule, find_drops, moment
 from learning.inspection.rollout import Rollouts, roll_out
 from learning.inspection.subject import Subject
 from learning.inspection.training import CSV_NAME, TrainingLog, read_training
-from learning.policy import Policy
+from learning.policies import Policy
 from learning.statistics import wilson
 
 MARGIN_EVERY = 2.5

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from dexctl import controllers, hands
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
-from learning.policy import Policy, load_policy
+from learning import policies
+from learning.policies import Policy
 
 if TYPE_CHECKING:
     from learning.inspection.critic import Critic
@@ -89,7 +90,7 @@ def open_subject(name: str, hand: str | None = None) -> Subject:
         return _open_run(name, path, hand)
     if path.suffix == ".npz":
         remark = "A policy file has no critic: p_psi needs the run folder, with its checkpoint."
-        return Subject(name, "policy", load_policy(path, hand=hand), remarks=(remark,))
+        return Subject(name, "policy", policies.load(path, hand=hand), remarks=(remark,))
     if name in controllers.names():
         made = controllers.make(name, hands.load(hand or "dex5"))
         remark = "A controller has no critic, so there is no p_psi."
@@ -111,7 +112,7 @@ def _open_run(name: str, folder: Path, hand: str | None) -> Subject:
     from learning.inspection.training import read_config
 
     config = read_config(folder)
-    policy = load_policy(folder / POLICY_NAME, hand=hand)
+    policy = policies.load(folder / POLICY_NAME, hand=hand)
     remarks: tuple[str, ...] = ()
     critic = None
     if not (folder / CHECKPOINT_NAME).exists():

@@ -58,8 +58,7 @@ def do(job: Job) -> None:
 
 def _train(job: Job) -> tuple[Controller, dict[str, Any]]:
     """Train, or go on training; the policy and what is known of it."""
-    from learning import checkpoint
-    from learning.policy import load_policy
+    from learning import checkpoint, policies
     from learning.settings import TrainConfig
     from learning.train import CONFIG_NAME, read_config, resume, train
 
@@ -73,7 +72,7 @@ def _train(job: Job) -> tuple[Controller, dict[str, Any]]:
     else:
         found = train(config, job.folder, remark=_remark)
     last = {name: float(value) for name, value in found["last"].items()}
-    policy = load_policy(found["policy"])
+    policy = policies.load(found["policy"])
     bad = [name for name, value in last.items() if not np.isfinite(value)]
     if bad or not all(np.isfinite(array).all() for layer in policy.layers for array in layer):
         raise TrainingFailed(

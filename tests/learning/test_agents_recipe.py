@@ -18,7 +18,7 @@ from torch import nn
 import dexctl
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
-from learning import checkpoint
+from learning import checkpoint, policies
 from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3
 from learning.agents.losses import cloning_weight
 from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
@@ -26,7 +26,6 @@ from learning.cli_train import Train
 from learning.envs import EnvConfig
 from learning.exploration import GuidanceConfig, Guide
 from learning.export import policy_layers
-from learning.policy import load_policy
 from learning.settings import TrainConfig
 from learning.train import build, train
 
@@ -230,7 +229,7 @@ def test_a_policy_trained_with_all_of_it_needs_its_own_parts_only(
     assert TrainConfig.from_dict(config.to_dict()) == config
     found = train(config, tmp_path / "run")
     assert np.isfinite(found["last"]["critic_loss"])
-    policy = load_policy(found["policy"])
+    policy = policies.load(found["policy"])
     assert policy.observation.parts == ("q", "q_target", "touch")
     assert policy.layers[0].weight.shape == (16, 35)
 

@@ -19,7 +19,7 @@ pytest.importorskip("matplotlib")
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import DexctlError
-from learning import checkpoint
+from learning import checkpoint, policies
 from learning.cli_inspect import Inspect
 from learning.envs import EnvConfig, Observation
 from learning.evaluate import Protocol
@@ -27,7 +27,7 @@ from learning.exploration import GuidanceConfig
 from learning.inspection import open_subject, roll_out
 from learning.inspection.rollout import states_of
 from learning.inspection.training import read_training
-from learning.policy import Policy, load_policy, save_policy
+from learning.policies import Policy
 from learning.settings import TrainConfig
 from learning.train import build, train
 
@@ -208,9 +208,9 @@ def test_bad_input(run_folder: Path, tmp_path: Path) -> None:
     old = tmp_path / "old"
     shutil.copytree(run_folder, old)
     other = tmp_path / "other.npz"
-    policy = load_policy(run_folder / "policy.npz")
+    policy = policies.load(run_folder / "policy.npz")
     spec = policy.spec._replace(fingertip_names=("thumb",))
-    save_policy(other, policy.layers, spec)
+    policies.save(other, policy.layers, spec)
     import torch
 
     torch.save({"format": 99}, old / checkpoint.NAME)
