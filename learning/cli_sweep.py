@@ -94,9 +94,9 @@ class Sweep:
 
     def _report(self, config: SweepConfig, folder: Path) -> int:
         """Write and print what there is; 1 where something failed."""
+        from dexctl.files import write_text
         from dexctl.report.machine import machine
         from learning.cli_sweep_figure import draw
-        from dexctl.files import write_text
         from learning.sweep.results import collect, write_csv
         from learning.sweep.table import caption, markdown_table
 

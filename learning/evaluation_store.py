@@ -19,8 +19,8 @@ import numpy as np
 
 import dexctl
 from dexctl.controller import Controller
-from learning.evaluate import Evaluation, Protocol, evaluate
 from dexctl.files import aside
+from learning.evaluate import Evaluation, Protocol, evaluate
 from learning.policies import Policy
 from learning.robustness import disturbance
 

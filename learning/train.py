@@ -18,13 +18,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
+from dexctl.files import write_text
 from learning import checkpoint
 from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv
 from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
 from learning.envs import make_vector
 from learning.exploration import POLICY, Guide
 from learning.export import Agent, actor_observation, export_policy
-from dexctl.files import write_text
 from learning.interruption import interruptible
 from learning.run_log import RunLog, Tally, who_acted
 from learning.settings import TrainConfig

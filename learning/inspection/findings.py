@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dexctl.state import Bools, Floats
+from dexctl.statistics import wilson
 from learning.evaluate import Protocol
 from learning.inspection.gait import GaitStatistics, gait_statistics
 from learning.inspection.grasps import Grasps, examine, with_margin
@@ -18,7 +19,6 @@ from learning.inspection.rollout import Rollouts, roll_out
 from learning.inspection.subject import Subject
 from learning.inspection.training import CSV_NAME, TrainingLog, read_training
 from learning.policies import Policy
-from learning.statistics import wilson
 
 MARGIN_EVERY = 2.5
 """Sampling period of the margin over all episodes [s]."""

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.files import aside, write_text
 from dexctl.hand import HandModel
 from dexctl.state import Floats, GraspState
 from learning.envs.action import SetPointAction

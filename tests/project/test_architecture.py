@@ -150,7 +150,6 @@ def test_modules_say_what_they_are(path: Path) -> None:
 
 @pytest.mark.parametrize("path", sorted((ROOT / "learning" / "envs").glob("*.py")), ids=name)
 def test_environments_know_nothing_of_agents(path: Path) -> None:
-    allowed = ("learning.envs.", "learning.files.")
     for dotted in imports(path):
         if room(dotted) == "learning":
-            assert dotted.startswith(allowed), f"{name(path)} imports {dotted}"
+            assert dotted.startswith("learning.envs."), f"{name(path)} imports {dotted}"
