@@ -125,12 +125,13 @@ def config(name: str, seed: int, given: Options) -> TrainConfig:
 
 def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
     """Train a variant, or go on; evaluate its policy."""
-    from learning.train import CONFIG_NAME, read_config, resume, train
+    from learning.train import read_config, resume, train
+    from learning.training.run_folder import RunFolder
 
     folder = given.runs / f"{name}-{seed}"
     wanted = config(name, seed, given)
     try:
-        if (folder / CONFIG_NAME).exists() and read_config(folder) == wanted:
+        if RunFolder.is_run(folder) and read_config(folder) == wanted:
             found = resume(folder)
         else:
             found = train(wanted, folder)

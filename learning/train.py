@@ -1,12 +1,10 @@
 """Training: a configuration and a folder become a policy, with logs and checkpoints on the way.
 
-A run folder holds ``config.json``, ``progress.csv``, ``tensorboard/``, ``checkpoint.pt`` (see
-`learning.checkpoint`), and ``policy.npz`` with its card ``policy.json``.
+What the folder of a run holds is in `learning.training.run_folder`.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -17,21 +15,23 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from dexctl import controllers
-from dexctl.exceptions import InvalidInput
-from dexctl.files import write_text
-from learning import checkpoint
-from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv
+from dexctl.exceptions import DexctlError, InvalidInput
+from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv, state
 from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
 from learning.envs import make_vector
 from learning.exploration import POLICY, Guide
 from learning.export import Agent, actor_observation, export_policy
-from learning.interruption import interruptible
-from learning.run_log import RunLog, Tally, who_acted
 from learning.settings import TrainConfig
+from learning.training.checkpoint import CheckpointError
+from learning.training.interruption import interruptible
+from learning.training.log import RunLog, Tally, who_acted
+from learning.training.run_folder import RunFolder
 
-CONFIG_NAME = "config.json"
-POLICY_NAME = "policy.npz"
 Report = Callable[[int, Mapping[str, float]], None]
+
+
+class TrainingDiverged(DexctlError, RuntimeError):
+    """The weights are no longer finite; the last checkpoint has those from before."""
 
 
 def train(
@@ -46,12 +46,10 @@ def train(
     Raises:
         InvalidInput: the folder holds a run already.
     """
-    if (folder / CONFIG_NAME).exists():
-        raise InvalidInput(f"{folder} holds a run already; resume it, or take another folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    run = RunFolder(folder)
     agent = build(config)  # what is wrong with the configuration shows before a file is written
-    write_text(folder / CONFIG_NAME, json.dumps(config.to_dict(), indent=2) + "\n")
-    return _run(agent, config, folder, None, report, remark)
+    run.create(config.to_dict())
+    return _run(agent, config, run, None, report, remark)
 
 
 def resume(
@@ -80,10 +78,8 @@ def resume(
     config = read_config(folder)
     if steps is not None:
         config = replace(config, steps=steps)
-    saved = None
-    if (folder / checkpoint.NAME).exists():
-        saved = checkpoint.read(folder)
-    return _run(build(config), config, folder, saved, report, remark)
+    run = RunFolder(folder)
+    return _run(build(config), config, run, run.read_checkpoint(), report, remark)
 
 
 def read_config(folder: Path) -> TrainConfig:
@@ -92,14 +88,7 @@ def read_config(folder: Path) -> TrainConfig:
     Raises:
         InvalidInput: there is none.
     """
-    path = folder / CONFIG_NAME
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InvalidInput(f"there is no run in {folder}: no {CONFIG_NAME}") from None
-    except ValueError as error:
-        raise InvalidInput(f"{path} is not JSON: {error}") from None
-    return TrainConfig.from_dict(values)
+    return TrainConfig.from_dict(RunFolder(folder).config_values())
 
 
 def build(config: TrainConfig) -> Agent:
@@ -178,7 +167,7 @@ def _device(name: str) -> str:
 def _run(
     agent: Agent,
     config: TrainConfig,
-    folder: Path,
+    folder: RunFolder,
     saved: dict[str, Any] | None,
     report: Report | None,
     remark: Callable[[str], None] | None,
@@ -188,7 +177,7 @@ def _run(
     keeper = _Keeper(config, folder, log, report, remark)
     try:
         if saved is not None:
-            checkpoint.restore(agent, saved)
+            state.restore(agent, saved)
             keeper.restore(saved["run"])
             del saved
         left = config.steps - agent.num_timesteps
@@ -202,13 +191,13 @@ def _run(
                 raise
             keeper.finish()
         else:  # a kill may have come between the last checkpoint and its policy
-            export_policy(agent, config, folder / POLICY_NAME, keeper.row)
+            export_policy(agent, config, folder.policy_path, keeper.row)
     finally:
         log.close()
         assert agent.env is not None
         agent.env.close()
     return {
-        "policy": str(folder / POLICY_NAME),
+        "policy": str(folder.policy_path),
         "steps": agent.num_timesteps,
         "last": keeper.row,
     }
@@ -220,7 +209,7 @@ class _Keeper(BaseCallback):
     def __init__(
         self,
         config: TrainConfig,
-        folder: Path,
+        folder: RunFolder,
         log: RunLog,
         report: Report | None,
         remark: Callable[[str], None] | None,
@@ -253,7 +242,7 @@ class _Keeper(BaseCallback):
         if step >= self._next_checkpoint:
             try:
                 self.save()
-            except (checkpoint.CheckpointError, OSError) as error:  # go on: nothing is lost yet
+            except (CheckpointError, OSError) as error:  # go on: nothing is lost yet
                 self._say(str(error))
         if self.report is not None:
             self.report(step, self.row)
@@ -317,14 +306,14 @@ class _Keeper(BaseCallback):
             "next_checkpoint": self._next_checkpoint,
             "seconds": self.seconds,
         }
-        checkpoint.write(self.folder, {**checkpoint.capture(agent), "run": run})
-        export_policy(agent, self.config, self.folder / POLICY_NAME, self.row)
+        self.folder.write_checkpoint({**state.capture(agent), "run": run})
+        export_policy(agent, self.config, self.folder.policy_path, self.row)
 
-    def diverged(self) -> checkpoint.TrainingDiverged:
+    def diverged(self) -> TrainingDiverged:
         """What to say where the weights are not finite."""
-        there = (self.folder / checkpoint.NAME).exists()
+        there = self.folder.checkpoint_path.exists()
         kept = "the checkpoint from before is kept" if there else "there is no checkpoint yet"
-        return checkpoint.TrainingDiverged(
+        return TrainingDiverged(
             f"training diverged before step {self._agent().num_timesteps}: weights are not finite; "
             f"{kept}; a lower learning rate may help"
         )

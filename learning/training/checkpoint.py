@@ -101,7 +101,7 @@ class _Reader:
             raise _Unusable(_why_not(first + self._file.readline(20)))
         self._digest.update(first)
         self._left -= len(first)
-        (length,) = _LENGTH.unpack(self._take(_LENGTH.size))
+        (length,) = _LENGTH.unpack(self._take(_LENGTH.size).tobytes())
         header = self._take(length).tobytes()
         try:
             sizes: list[int] = []
@@ -154,5 +154,5 @@ def _new_digest() -> Any:
 
 
 def _pieces(data: bytes | np.ndarray) -> Iterator[memoryview]:
-    view = memoryview(data)
+    view = data.data if isinstance(data, np.ndarray) else memoryview(data)
     return (view[start : start + _PIECE] for start in range(0, len(view), _PIECE))

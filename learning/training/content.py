@@ -91,25 +91,21 @@ def _encode(value: Any, where: str, depth: int, arrays: list[np.ndarray]) -> Any
 
 def _encode_array(value: Any, where: str, arrays: list[np.ndarray]) -> list[Any]:
     """A numpy array or a torch tensor; without torch loaded, nothing is a tensor."""
-    torch = sys.modules.get("torch")
+    what = f"a {type(value).__name__}"
+    torch: Any = sys.modules.get("torch")
     if isinstance(value, np.ndarray):
-        kind, dtype = "numpy", value.dtype.name if value.dtype.isnative else value.dtype.str
-        what = f"an array of {dtype}"
+        dtype, what = value.dtype.name, f"an array of {value.dtype}"
+        if value.dtype.isnative and dtype in _NUMPY:
+            arrays.append(np.ascontiguousarray(value).reshape(-1).view(np.uint8))
+            return ["numpy", dtype, list(value.shape)]
     elif torch is not None and isinstance(value, torch.Tensor):
-        kind, dtype = "torch", str(value.dtype).removeprefix("torch.")
-        what = f"a {value.layout} tensor of {dtype}"
-        dtype = dtype if value.layout == torch.strided else ""
-    else:
-        raise TypeError(f"{where} is a {type(value).__name__}, which a checkpoint cannot hold")
-    if dtype not in _BYTES[kind]:
-        raise TypeError(f"{where} is {what}, which a checkpoint cannot hold")
-    if kind == "torch":
-        flat = value.detach().cpu().contiguous().reshape(-1)
-        # the strides of an empty one may be such that torch has no view of it
-        arrays.append(flat.view(torch.uint8).numpy() if len(flat) else np.empty(0, np.uint8))
-    else:
-        arrays.append(np.ascontiguousarray(value).reshape(-1).view(np.uint8))
-    return [kind, dtype, list(value.shape)]
+        dtype, what = str(value.dtype).removeprefix("torch."), f"a {value.layout} {value.dtype}"
+        if value.layout == torch.strided and dtype in _TORCH:
+            flat = value.detach().cpu().contiguous().reshape(-1)
+            # the strides of an empty one may be such that torch has no view of it
+            arrays.append(flat.view(torch.uint8).numpy() if len(flat) else np.empty(0, np.uint8))
+            return ["torch", dtype, list(value.shape)]
+    raise TypeError(f"{where} is {what}, which a checkpoint cannot hold")
 
 
 def _decode(value: Any, depth: int, make: MakeArray) -> Any:
@@ -134,9 +130,9 @@ def _decode(value: Any, depth: int, make: MakeArray) -> Any:
         return found
     if kind == "tuple":
         return tuple(found)
-    if kind == "dict":
-        return dict(zip(found[::2], found[1::2], strict=True))
-    _refuse(kind)
+    if kind != "dict":
+        _refuse(kind)
+    return dict(zip(found[::2], found[1::2], strict=True))
 
 
 def _refuse(what: object) -> NoReturn:

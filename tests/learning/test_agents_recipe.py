@@ -18,8 +18,7 @@ from torch import nn
 import dexctl
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
-from learning import checkpoint, policies
-from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3
+from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, state
 from learning.agents.losses import cloning_weight
 from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
 from learning.cli_train import Train
@@ -287,6 +286,6 @@ def test_the_kept_policy_is_the_mean(tmp_path: Path) -> None:
         [1e-3, 1e-3, 5e-4, 0.0]
     )
     again = build(config)
-    checkpoint.restore(again, checkpoint.capture(agent))
+    state.restore(again, state.capture(agent))
     for ours, theirs in zip(policy_layers(agent), policy_layers(again), strict=True):
         assert (ours[0] == theirs[0]).all()

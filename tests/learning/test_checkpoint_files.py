@@ -23,7 +23,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
+
+import torch
 
 from learning.training import checkpoint
 from learning.training.checkpoint import CheckpointError
@@ -40,10 +42,12 @@ PLAIN = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_si
 PLAIN |= st.sampled_from([2**63, -(2**64), "\ud800", "list", float("-inf")])
 CONTENT = st.recursive(
     PLAIN | ARRAYS | TENSORS,
-    lambda inner: st.lists(inner, max_size=4)
-    | st.lists(inner, max_size=4).map(tuple)
-    | st.dictionaries(st.text(max_size=5), inner, max_size=4)
-    | st.dictionaries(st.integers() | st.text(max_size=3), inner, max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.lists(inner, max_size=4).map(tuple)
+        | st.dictionaries(st.text(max_size=5), inner, max_size=4)
+        | st.dictionaries(st.integers() | st.text(max_size=3), inner, max_size=4)
+    ),
     max_leaves=12,
 )
 
@@ -72,7 +76,7 @@ def test_there_and_back(content: dict[str, Any]) -> None:
         path = Path(folder) / "c.bin"
         checkpoint.write(path, content)
         assert same(checkpoint.read(path), content)
-        assert os.listdir(folder) == ["c.bin"]
+        assert list(Path(folder).iterdir()) == [path]
 
 
 def test_views_and_what_modules_and_optimisers_have(tmp_path: Path) -> None:
@@ -104,7 +108,7 @@ def test_views_and_what_modules_and_optimisers_have(tmp_path: Path) -> None:
         ({"a": np.array(["x"])}, r"content\['a'\] is an array of "),
         ({"a": np.array([print])}, r"content\['a'\] is an array of object"),
         ({"a": np.zeros(2, ">f4")}, r"content\['a'\] is an array of >f4"),
-        ({"a": torch.eye(2).to_sparse()}, r"content\['a'\] is a torch.sparse_coo tensor"),
+        ({"a": torch.eye(2).to_sparse()}, r"content\['a'\] is a torch.sparse_coo torch.float32"),
         ({"a": print}, r"content\['a'\] is a builtin_function_or_method"),
     ],
 )
