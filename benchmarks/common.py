@@ -19,13 +19,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 import tyro
-from scipy.stats import binomtest, bootstrap
 
 from dexctl.controller import Controller
+from dexctl.files import write_text
 from dexctl.report.machine import machine
 from dexctl.rotations import inverse, multiply
 from dexctl.sim import BatchSimulator, Scene, Tactile, Trace, run
 from dexctl.sim.trial import DROP_DISTANCE
+from dexctl.statistics import bootstrap, wilson
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FULL_TURN = 2 * np.pi
@@ -203,22 +204,18 @@ def controls(scene: Scene, q_target: np.ndarray, substeps: int) -> np.ndarray:
 def share(hits: np.ndarray) -> dict[str, Any]:
     """How many of the trials ``(N,)``, with the 95 % Wilson interval of their share."""
     k, n = int(hits.sum()), len(hits)
-    low, high = binomtest(k, n).proportion_ci(method="wilson")
-    return {"count": k, "of": n, "share": round(k / n, 4), "wilson95": [_r(low), _r(high)]}
+    found = wilson(k, n)
+    interval = [_r(found.low), _r(found.high)]
+    return {"count": k, "of": n, "share": round(k / n, 4), "wilson95": interval}
 
 
 def over_seeds(values: np.ndarray) -> dict[str, Any]:
     """Median over trials ``(N,)`` with its 95 % bootstrap interval, 10th and 90th percentile."""
-    low = high = float(np.median(values))
-    if len(values) > 1 and np.ptp(values) > 0:
-        found = bootstrap(
-            (values,), np.median, n_resamples=2000, method="percentile", rng=0, vectorized=True
-        ).confidence_interval
-        low, high = float(found.low), float(found.high)
+    found = bootstrap(values, "median")
     p10, p90 = np.percentile(values, [10, 90])
     return {
-        "median": _r(np.median(values)),
-        "bootstrap95": [_r(low), _r(high)],
+        "median": _r(found.value),
+        "bootstrap95": [_r(found.low), _r(found.high)],
         "p10": _r(p10),
         "p90": _r(p90),
     }
@@ -324,7 +321,6 @@ def write(
     """
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / f"{name}.json"
-    aside = path.with_suffix(".part")
     chosen = {key: value for key, value in asdict(given).items() if key not in ("out", "resume")}
     where = machine()
     where["versions"]["numba"] = version("numba") if find_spec("numba") else "not installed"
@@ -337,8 +333,7 @@ def write(
         "settings": chosen,
         "machine": where,
     }
-    aside.write_text(json.dumps(result, indent=1, default=str) + "\n")
-    aside.replace(path)
+    write_text(path, json.dumps(result, indent=1, default=str) + "\n")
     if not say:
         return path
     for figure in figures:

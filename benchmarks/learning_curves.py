@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import tyro
 
+from dexctl.files import aside
 from dexctl.report.style import FAINT, INK, drawing, new_figure
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,9 +66,8 @@ def main() -> None:
         grid[0].set_title("Episodes of 50 s while training, whoever acts in them")
         grid[1].axhline(2 * np.pi, color=FAINT, lw=0.9)
         grid[1].text(2.5, 2 * np.pi + 1.0, "a full turn", color=FAINT, fontsize=8, ha="right")
-        part = given.out.with_suffix(".part.png")
-        figure.savefig(part)
-        part.replace(given.out)
+        with aside(given.out) as part:
+            figure.savefig(part)
     print(given.out)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -13,7 +13,8 @@ def aside(path: Path) -> Iterator[Path]:
     """A path beside ``path`` to write to; it becomes ``path`` when the block ends well.
 
     If the block ends with an exception (a full disk, Ctrl-C) what was written is removed, and an
-    earlier ``path`` stays as it was. The suffix is kept, since writers choose the format by it.
+    earlier ``path`` stays as it was. A process that is killed in the block leaves the file that it
+    wrote to; its name is ``.NAME.PID.part`` with the suffix, since writers choose the format by it.
     """
     part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
@@ -23,9 +24,26 @@ def aside(path: Path) -> Iterator[Path]:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+    _sync(path.parent)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole."""
     with aside(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a binary file whole."""
+    with aside(path) as part:
+        part.write_bytes(content)
+
+
+def _sync(folder: Path) -> None:
+    """Bring the renaming to the disk, where folders can be synced."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

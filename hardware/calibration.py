@@ -160,7 +160,7 @@ class Calibration:
 
     def save(self, path: str | Path) -> None:
         """Write the TOML file, whole or not at all."""
-        from dexctl.report.files import write_text
+        from dexctl.files import write_text
 
         lines = [
             "# Joint angle 0 is at servo angle `zero` [rad]; `sign` is -1 where they turn against",

@@ -186,6 +186,6 @@ def _health(log: Log) -> str:
 
 def write(log: Log, path: Path) -> None:
     """Write the report to ``path``."""
-    from dexctl.report.files import write_text
+    from dexctl.files import write_text
 
     write_text(path, build(log))

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dexctl.report.style import FAINT, INK, drawing, finger_colour, new_figure
-from learning.evaluate import FULL_TURN, Evaluation
 from dexctl.files import aside
+from dexctl.report.style import FAINT, INK, drawing, finger_colour, new_figure
+from dexctl.statistics import Estimate, wilson
+from learning.evaluate import FULL_TURN, Evaluation
 from learning.robustness import disturbance
-from learning.statistics import Estimate, wilson
 from learning.transfer import Transfer
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from typing import Any
 
 from dexctl.cli.output import notes, to_json
 from dexctl.exceptions import MissingExtra
+from dexctl.files import write_text
 from dexctl.report.machine import machine
 from learning import cli_evaluate_figures as figures
 from learning import evaluation_files as files
 from learning.evaluate import Evaluation, Protocol
-from dexctl.files import write_text
 from learning.transfer import Trained, Transfer
 
 

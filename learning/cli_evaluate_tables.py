@@ -8,9 +8,9 @@ from itertools import groupby
 from rich.table import Table
 
 from dexctl.cli.output import results
+from dexctl.statistics import Estimate
 from learning.evaluate import Evaluation, Protocol
 from learning.robustness import disturbance
-from learning.statistics import Estimate
 from learning.transfer import Transfer
 
 _UNITS = {"joint": " rad", "position": " m", "normal": "", "force": "", "push": " N"}

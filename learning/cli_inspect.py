@@ -104,8 +104,8 @@ class Inspect:
     def _write(
         self, folder: Path, found: Inspection, gravity: str | tuple[float, ...]
     ) -> dict[str, Any]:
-        from dexctl.report.machine import machine
         from dexctl.files import write_text
+        from dexctl.report.machine import machine
         from learning.inspection.report import build
 
         scene = found.rollouts.scene

@@ -54,8 +54,8 @@ class Sweep:
             check_count("--jobs", self.jobs)
         if not self.report_only and not (find_spec("torch") and find_spec("stable_baselines3")):
             raise MissingExtra("dexctl sweep", "learning")
-        from learning.sweep.lock import locked
         from learning.sweep.run import check, prepare, reopen, run_all
+        from learning.training.run_folder import locked
 
         given = self.config.expanduser()
         if given.is_dir():
@@ -94,9 +94,9 @@ class Sweep:
 
     def _report(self, config: SweepConfig, folder: Path) -> int:
         """Write and print what there is; 1 where something failed."""
+        from dexctl.files import write_text
         from dexctl.report.machine import machine
         from learning.cli_sweep_figure import draw
-        from dexctl.files import write_text
         from learning.sweep.results import collect, write_csv
         from learning.sweep.table import caption, markdown_table
 

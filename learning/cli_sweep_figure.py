@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dexctl.report.style import FAINT, INK, drawing, new_figure, title_of
 from dexctl.files import aside
+from dexctl.report.style import FAINT, INK, drawing, new_figure, title_of
 from learning.sweep.config import SweepConfig
 from learning.sweep.curves import Curve, curves
 from learning.sweep.table import METHODS

@@ -3,7 +3,7 @@
 The protocol: N episodes of 60 s with seeds 0 to N-1, each from the settled grasp with set-points
 disturbed by N(0, 0.02 rad); an object whose centre moves by more than 0.05 m is dropped, and
 nothing counts after that. Episodes are independent, so intervals are over them; claims about a
-method need several seeds of training (`learning.statistics`).
+method need several seeds of training (`dexctl.statistics`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.rotations import inverse, multiply, rotation_vector
 from dexctl.state import Bools, Floats
+from dexctl.statistics import Estimate, bootstrap, wilson
 from dexctl.streams import Streams
 from dexctl.validation import check_numbers
 from learning.envs import reward as rewards
@@ -26,7 +27,6 @@ from learning.envs.config import unit_axis
 from learning.envs.noise import SensorNoise
 from learning.envs.pushes import Push, Pusher
 from learning.senses import Senses
-from learning.statistics import Estimate, bootstrap, wilson
 
 if TYPE_CHECKING:
     from dexctl.sim import Scene, Trace

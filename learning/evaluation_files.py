@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from dexctl.files import aside
+from dexctl.statistics import wilson
 from learning.envs.noise import SensorNoise
 from learning.evaluate import Evaluation
-from dexctl.files import aside
-from learning.statistics import wilson
 from learning.transfer import Transfer
 
 _KINDS = [field.name for field in fields(SensorNoise)]

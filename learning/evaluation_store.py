@@ -19,9 +19,9 @@ import numpy as np
 
 import dexctl
 from dexctl.controller import Controller
-from learning.evaluate import Evaluation, Protocol, evaluate
 from dexctl.files import aside
-from learning.policy import Policy
+from learning.evaluate import Evaluation, Protocol, evaluate
+from learning.policies import Policy
 from learning.robustness import disturbance
 
 FORMAT = 1

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.statistics import Estimate, bootstrap, bootstrap_ratio
 from learning.evaluate import Evaluation, Protocol, Run, evaluate
-from learning.statistics import Estimate, bootstrap, bootstrap_ratio
 
 # what R is, and of which numbers of an evaluation
 KINDS = {"rotation": ("rotation", "median"), "return": ("returns", "mean")}

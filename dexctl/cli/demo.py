@@ -163,8 +163,8 @@ class _Work:
 
     def draw_key_frames(self) -> None:
         """Stills for the report; where there is no OpenGL, says how to get one and draws none."""
+        from dexctl.files import write_bytes
         from dexctl.report.demo import key_times
-        from dexctl.report.files import write_bytes
         from dexctl.report.picture import png
 
         self.console.print("looking for an OpenGL to draw with", style="dim")
@@ -194,8 +194,8 @@ class _Work:
             self.drawing_time = (perf_counter() - start) / PICTURE_FRAMES
 
     def write_report(self, *remarks: str) -> None:
+        from dexctl.files import write_bytes, write_text
         from dexctl.report.demo import build
-        from dexctl.report.files import write_bytes, write_text
         from dexctl.report.machine import machine
         from dexctl.report.picture import compose
         from dexctl.report.style import title_of
@@ -222,7 +222,7 @@ class _Work:
             self.files.append(path)
 
     def draw_video(self) -> None:
-        from dexctl.report.files import write_text
+        from dexctl.files import write_text
         from dexctl.report.html import with_video
         from dexctl.report.style import title_of
 

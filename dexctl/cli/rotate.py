@@ -165,8 +165,8 @@ class Rotate(SceneOptions):
         summary: BatchSummary,
         found: dict[str, Any],
     ) -> None:
+        from dexctl.files import write_text
         from dexctl.report import batch
-        from dexctl.report.files import write_text
 
         write_text(folder / "rotate.json", to_json(found) + "\n")
         document = batch.build(

@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest
 
 from dexctl.exceptions import InvalidInput
 from dexctl.sim import Trace
 from dexctl.state import Floats
+from dexctl.statistics import wilson
 
 FULL_TURN = 2 * np.pi
 
@@ -134,8 +134,8 @@ def summarise_batch(trace: Trace) -> BatchSummary:
     return BatchSummary(
         rotation=trace.final_rotation,
         time_held=trace.time_held,
-        holding=wilson(held[-1]),
-        full_turn=wilson(trace.final_rotation >= FULL_TURN),
+        holding=share_of(held[-1]),
+        full_turn=share_of(trace.final_rotation >= FULL_TURN),
         diverged=int(trace.diverged[-1].sum()),
         mean_contacts=float(each.mean()),
         latency_median=float(np.median(trace.act_seconds)),
@@ -143,11 +143,11 @@ def summarise_batch(trace: Trace) -> BatchSummary:
     )
 
 
-def wilson(successes: np.ndarray) -> Share:
+def share_of(successes: np.ndarray) -> Share:
     """The share of True in ``(N,)`` bool, with its 95 % Wilson interval."""
     count, trials = int(successes.sum()), len(successes)
-    interval = binomtest(count, trials).proportion_ci(method="wilson")
-    return Share(count, trials, float(interval.low), float(interval.high))
+    found = wilson(count, trials)
+    return Share(count, trials, found.low, found.high)
 
 
 def percentiles(values: Floats) -> dict[str, float]:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.exceptions import InvalidInput
+from dexctl.files import aside
 from dexctl.hand import HandModel
 from dexctl.state import Floats
-from dexctl.files import aside
-
 
 _ROWS = ("q", "q_target", "object_position", "object_quaternion", "object")
 

@@ -12,7 +12,7 @@ import numpy as np
 from dexctl.cli.output import notes, print_json, results, to_json
 from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput
-from dexctl.report.files import write_text
+from dexctl.files import write_text
 from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus

@@ -10,7 +10,7 @@ import numpy as np
 from dexctl.cli.output import notes, print_json, results, to_json
 from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.report.files import write_text
+from dexctl.files import write_text
 from dexctl.state import Floats
 from hardware.cli.options import HandOptions, busy
 from hardware.machine import State

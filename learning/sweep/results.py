@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dexctl.files import aside
-from learning.statistics import bootstrap, wilson
+from dexctl.statistics import bootstrap, wilson
 from learning.sweep.config import Cell, Criterion, PlannedRun, SweepConfig
 from learning.sweep.jobs import controller_folder, outcome, run_folder
 from learning.sweep.table import DROPPED, FORMAT, RETURN, ROTATION

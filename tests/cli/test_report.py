@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from dexctl.exceptions import InvalidInput
+from dexctl.files import aside, write_text
 from dexctl.report import figures, html, summarise, summarise_batch
-from dexctl.report.files import aside, write_text
 from dexctl.report.style import drawing
-from dexctl.report.summary import wilson
+from dexctl.report.summary import share_of
 from dexctl.sim import Trace
 
 
@@ -83,12 +83,12 @@ def test_summary_of_a_batch() -> None:
         summarise_batch(trace())
 
 
-def test_wilson_interval_by_hand() -> None:
+def test_share_by_hand() -> None:
     """8 of 10: centre (p + z^2 / 2n) / (1 + z^2 / n), z = 1.96."""
     z, n, p = 1.959964, 10, 0.8
     centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    share = wilson(np.arange(10) < 8)
+    share = share_of(np.arange(10) < 8)
     assert share.share == 0.8
     assert (share.low, share.high) == pytest.approx((centre - half, centre + half), abs=1e-6)
 

@@ -18,15 +18,13 @@ from torch import nn
 import dexctl
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
-from learning import checkpoint
-from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3
+from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, state
 from learning.agents.losses import cloning_weight
 from learning.agents.networks import GuidedSACPolicy, GuidedTD3Policy
 from learning.cli_train import Train
 from learning.envs import EnvConfig
 from learning.exploration import GuidanceConfig, Guide
 from learning.export import policy_layers
-from learning.policy import load_policy
 from learning.settings import TrainConfig
 from learning.train import build, train
 
@@ -230,7 +228,7 @@ def test_a_policy_trained_with_all_of_it_needs_its_own_parts_only(
     assert TrainConfig.from_dict(config.to_dict()) == config
     found = train(config, tmp_path / "run")
     assert np.isfinite(found["last"]["critic_loss"])
-    policy = load_policy(found["policy"])
+    policy = policies.load(found["policy"])
     assert policy.observation.parts == ("q", "q_target", "touch")
     assert policy.layers[0].weight.shape == (16, 35)
 
@@ -288,6 +286,6 @@ def test_the_kept_policy_is_the_mean(tmp_path: Path) -> None:
         [1e-3, 1e-3, 5e-4, 0.0]
     )
     again = build(config)
-    checkpoint.restore(again, checkpoint.capture(agent))
+    state.restore(again, state.capture(agent))
     for ours, theirs in zip(policy_layers(agent), policy_layers(again), strict=True):
         assert (ours[0] == theirs[0]).all()

@@ -12,9 +12,9 @@ import pytest
 import dexctl
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
+from dexctl.statistics import bootstrap_ratio
 from learning.evaluate import Evaluation, Protocol
 from learning.evaluation_files import write_transfer
-from learning.statistics import bootstrap_ratio
 from learning.transfer import Trained, transfer
 
 ROTATION = {

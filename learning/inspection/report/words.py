@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from learning.statistics import Estimate
+from dexctl.statistics import Estimate
 
 
 def percent(share: float | None) -> str:

@@ -22,14 +22,15 @@ pytest.importorskip("stable_baselines3")
 import learning
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
-from learning import checkpoint
+from learning.agents import state
 from learning.cli_env_options import EnvOptions
 from learning.cli_train import Train
 from learning.envs import EnvConfig, InitialStates
 from learning.export import policy_layers
-from learning.run_log import RunLog, Tally, columns, who_acted
 from learning.settings import TrainConfig
-from learning.train import build, train
+from learning.train import TrainingDiverged, build, train
+from learning.training import checkpoint
+from learning.training.log import Tally, columns, who_acted
 
 SMALL = (
     "--num-envs", "4", "--steps", "200", "--network", "16", "16", "--batch-size", "16",
@@ -107,11 +108,11 @@ def test_an_interrupted_run_saves_first(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         train(config, tmp_path / "run", report=interrupt)
     assert signal.getsignal(signal.SIGINT) is before
-    saved = checkpoint.read(tmp_path / "run")
+    saved = checkpoint.read(tmp_path / "run" / "checkpoint.bin")
     assert saved["counters"]["num_timesteps"] == calls[-1] <= 84
     other = build(command(*SMALL, "--network", "8", "--object", "cylinder").config())
     with pytest.raises(checkpoint.CheckpointError, match="does not fit this configuration"):
-        checkpoint.restore(other, saved)
+        state.restore(other, saved)
 
 
 @pytest.mark.parametrize(
@@ -210,14 +211,14 @@ def test_weights_that_are_not_finite_do_not_replace_a_checkpoint(
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("learning.train.build", built)
-        with pytest.raises(checkpoint.TrainingDiverged, match="weights are not finite") as caught:
+        with pytest.raises(TrainingDiverged, match="weights are not finite") as caught:
             train(config, folder, report=lambda step, row: spoil(agents[0], step))
     assert "the checkpoint from before is kept" in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert checkpoint.read(folder)["counters"]["num_timesteps"] == 100
+    assert checkpoint.read(folder / "checkpoint.bin")["counters"]["num_timesteps"] == 100
     assert (folder / "policy.npz").read_bytes() == policy[0]
     command("--resume", str(folder)).run()  # the weights from before are fine
-    assert checkpoint.read(folder)["counters"]["num_timesteps"] == 200
+    assert checkpoint.read(folder / "checkpoint.bin")["counters"]["num_timesteps"] == 200
 
 
 def test_a_policy_can_guide(tmp_path: Path) -> None:
@@ -274,16 +275,3 @@ def test_tally_by_hand() -> None:
         "diverged": 0.0, "reward": 1.0,
     }  # fmt: skip
     assert tally.row() == {"episodes": 0}
-
-
-def test_a_resumed_log_forgets_what_came_after_the_checkpoint(tmp_path: Path) -> None:
-    log = RunLog(tmp_path)
-    for step in (10, 20, 30):
-        log.write({"step": step, "return": step / 3, "seconds": 1.0})
-    log.close()
-    with (tmp_path / "progress.csv").open("a") as file:
-        file.write("40,1,2")  # a row that a kill cut short
-    RunLog(tmp_path, resume_at=20).close()
-    with (tmp_path / "progress.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [(row["step"], row["return"]) for row in rows] == [("10", "3.33333"), ("20", "6.66667")]

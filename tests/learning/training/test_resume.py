@@ -21,9 +21,9 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 from dexctl.cli.parsing import parse
-from learning import checkpoint
 from learning.cli_train import Train
 from learning.exploration.guide import _unpickled
+from learning.training import checkpoint
 
 ROOT = Path(__file__).parents[2]
 OPTIONS = shlex.split(
@@ -96,7 +96,7 @@ def contents(thing: object) -> dict[str, Any]:
 
 
 def equal_runs(first: Path, second: Path) -> None:
-    a, b = checkpoint.read(first), checkpoint.read(second)
+    a, b = checkpoint.read(first / "checkpoint.bin"), checkpoint.read(second / "checkpoint.bin")
     steps = a["counters"]["num_timesteps"]
     same(a, b)
     assert numbers(first) == numbers(second) != []
@@ -111,7 +111,7 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     process = start(*options, "--steps", "1000000", "--out", str(killed))
     deadline = time.monotonic() + 100
-    while not (killed / checkpoint.NAME).exists():
+    while not (killed / "checkpoint.bin").exists():
         assert process.poll() is None, process.communicate()[1].decode()
         assert time.monotonic() < deadline
         time.sleep(0.002)
@@ -119,7 +119,7 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert process.returncode == -signal.SIGKILL
-    steps = checkpoint.read(killed)["counters"]["num_timesteps"] + 300
+    steps = checkpoint.read(killed / "checkpoint.bin")["counters"]["num_timesteps"] + 300
     run("--resume", str(killed), "--steps", str(steps))
     run(*options, "--steps", str(steps), "--out", str(whole))
     equal_runs(whole, killed)
@@ -133,18 +133,18 @@ def test_killed_and_resumed_with_the_fast_recipe(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     process = start(*options, "--out", str(killed))
     deadline = time.monotonic() + 100
-    while not (killed / checkpoint.NAME).exists():
+    while not (killed / "checkpoint.bin").exists():
         assert process.poll() is None, process.communicate()[1].decode()
         assert time.monotonic() < deadline
         time.sleep(0.002)
     time.sleep(0.05)
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    assert checkpoint.read(killed)["counters"]["num_timesteps"] < 1200
+    assert checkpoint.read(killed / "checkpoint.bin")["counters"]["num_timesteps"] < 1200
     run("--resume", str(killed))
     run(*options, "--out", str(whole))
     equal_runs(whole, killed)
-    saved = checkpoint.read(whole)
+    saved = checkpoint.read(whole / "checkpoint.bin")
     assert saved["averaged_actor"] is not None
     (group,) = saved["optimizers"]["actor"]["param_groups"]
     assert 1e-4 <= group["lr"] < 2e-4  # nearly fallen to its end

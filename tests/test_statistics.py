@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dexctl.exceptions import InvalidInput, UnknownName
-from learning.statistics import bootstrap, interquartile_mean, wilson
+from dexctl.statistics import bootstrap, interquartile_mean, wilson
 
 
 def test_wilson_by_hand() -> None:

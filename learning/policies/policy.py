@@ -1,35 +1,23 @@
-"""Trained policies as controllers that need numpy only, and the files that hold them.
-
-A policy file is a numpy ``.npz`` of a multilayer perceptron's weights with a JSON text that says
-what they are for: hand, observation, action. The card, a JSON file of the same name beside it, says
-the same for people, and what trained the policy.
-"""
+"""Policy: a trained policy as a controller that needs numpy only, and what it is for."""
 
 from __future__ import annotations
 
-import json
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-import dexctl
-from dexctl import hands
 from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.files import aside, write_text
 from dexctl.hand import HandModel
 from dexctl.state import Floats, GraspState
 from learning.envs.action import SetPointAction
 from learning.envs.observation import Observation, check_parts
-from dexctl.files import aside, write_text
 
 if TYPE_CHECKING:
     from learning.envs.config import EnvConfig
-
-FORMAT = 1
 
 
 def _relu(x: Floats) -> Floats:
@@ -90,7 +78,7 @@ class PolicySpec(NamedTuple):
     ) -> PolicySpec:
         """The specification of a policy that is trained in environments of ``config``."""
         return cls(
-            config.hand,
+            config.scene.hand,
             tuple(hand.joint_names),
             tuple(hand.fingertip_names),
             observation.to_dict(),
@@ -153,7 +141,7 @@ class Policy(Controller):
         self.card = dict(card or {})
         self.observation = Observation.from_dict(hand, spec.observation)
         self.action = SetPointAction(hand, **spec.action)
-        self.layers = _checked(layers, self.observation.size, hand.nq)
+        self.layers = check_layers(layers, self.observation.size, hand.nq)
         self._activation = ACTIVATIONS[spec.activation]
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
@@ -174,115 +162,31 @@ class Policy(Controller):
         return check_action(self.action.limited(state, self.action.to_change(action)))
 
 
-def save_policy(
-    path: str | Path,
-    layers: Sequence[Layer | tuple[ArrayLike, ArrayLike]],
-    spec: PolicySpec,
-    card: Mapping[str, Any] | None = None,
-) -> None:
-    """Write a policy file and its card, each whole or not at all.
-
-    Args:
-        path: ends with ``.npz``; the card goes to the same name with ``.json``.
-        layers: (weight ``(outputs, inputs)``, bias ``(outputs,)``) of each.
-        spec: what they are for.
-        card: what trained them: anything that JSON can hold (configuration, versions, seed, steps,
-            figures).
-
-    Raises:
-        InvalidInput: another ending, or numbers that are not finite.
-    """
-    path = _npz(path)
-    checked = _checked([Layer(np.asarray(w), np.asarray(b)) for w, b in layers])
-    described = {
-        "format": FORMAT,
-        "dexctl": dexctl.__version__,
-        "spec": spec._asdict(),
-        "layers": [list(layer.weight.shape) for layer in checked],
-        **(card or {}),
-    }
-    text = json.dumps(described, indent=2)
-    arrays: dict[str, Any] = {}
-    for i, layer in enumerate(checked):
-        arrays |= {f"weight_{i}": layer.weight, f"bias_{i}": layer.bias}
-    with aside(path) as part, part.open("wb") as stream:
-        np.savez(stream, card=np.array(text), **arrays)
-    write_text(path.with_suffix(".json"), text + "\n")
-
-
-def load_policy(
-    path: str | Path,
-    *,
-    hand: HandModel | str | None = None,
-    parts: Sequence[str] | None = None,
-) -> Policy:
-    """Read a policy file.
-
-    Args:
-        path: the ``.npz`` file. Its card need not be beside it.
-        hand: the hand to run it on; None loads the one that it was trained on.
-        parts: refuse a policy that was trained with other observation parts than these.
-
-    Raises:
-        InvalidInput: no such file or no policy in it, another version of the format, another hand
-            or other observation parts.
-    """
-    path = _npz(path)
-    card, layers = _read(path)
-    if card.get("format") != FORMAT:
-        raise InvalidInput(
-            f"policy {str(path)!r} has format {card.get('format')}; expected {FORMAT}"
-        )
-    try:
-        values = card["spec"]
-        spec = PolicySpec(
-            values["hand"],
-            tuple(values["joint_names"]),
-            tuple(values["fingertip_names"]),
-            values["observation"],
-            values["action"],
-            values["activation"],
-        )
-    except (KeyError, TypeError) as error:
-        raise InvalidInput(f"policy {str(path)!r} lacks {error} in its card") from None
-    if parts is not None:
-        spec.check_parts(parts)
-    name = spec.hand if hand is None else hand
-    model = hands.load(name) if isinstance(name, str) else name
-    return Policy(model, layers, spec, card)
-
-
-def _read(path: Path) -> tuple[dict[str, Any], list[Layer]]:
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            if "card" not in stored:
-                raise ValueError("it holds no card")
-            card = json.loads(str(stored["card"]))
-            count = sum(name.startswith("weight_") for name in stored.files)
-            layers = [Layer(stored[f"weight_{i}"], stored[f"bias_{i}"]) for i in range(count)]
-    except FileNotFoundError:
-        raise InvalidInput(f"policy {str(path)!r}: no such file") from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InvalidInput(f"{str(path)!r} is not a policy file: {error}") from None
-    return card, layers
-
-
-def _npz(path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix != ".npz":
-        raise InvalidInput(f"policy path is {str(path)!r}; expected one that ends with .npz")
-    return path
-
-
-def _checked(
+def check_layers(
     layers: Sequence[Layer], inputs: int | None = None, outputs: int | None = None
 ) -> tuple[Layer, ...]:
-    """The layers, where they fit together and are finite."""
+    """The layers, where they are real, finite and fit together.
+
+    Args:
+        layers: from the first to the last.
+        inputs, outputs: of all of them together; None is any number.
+
+    Raises:
+        InvalidInput: they do not.
+    """
     if not layers:
         raise InvalidInput("the policy has no layers; expected at least one")
-    width = layers[0].weight.shape[-1] if inputs is None else inputs
+    width = inputs
     for i, (weight, bias) in enumerate(layers):
-        if weight.ndim != 2 or weight.shape[1] != width or bias.shape != (weight.shape[0],):
+        if weight.dtype.kind != "f" or bias.dtype.kind != "f":
+            raise InvalidInput(
+                f"layer {i} of the policy has a weight of {weight.dtype} and a bias of "
+                f"{bias.dtype}; expected floats"
+            )
+        if width is None and weight.ndim:
+            width = weight.shape[-1]
+        fits = weight.ndim == 2 and weight.shape[1] == width and bias.shape == weight.shape[:1]
+        if not (fits and weight.size):
             raise InvalidInput(
                 f"layer {i} of the policy has weight {weight.shape} and bias {bias.shape}; "
                 f"expected (n, {width}) and (n,)"

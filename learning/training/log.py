@@ -1,17 +1,22 @@
-"""What a training run writes down as it goes: one CSV file, and TensorBoard beside it."""
+"""The log of a run: one CSV file, and TensorBoard beside it."""
 
 from __future__ import annotations
 
 import csv
+import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-CSV_NAME = "progress.csv"
-TENSORBOARD_FOLDER = "tensorboard"
+from dexctl.exceptions import InvalidInput
+from dexctl.files import aside
+
+if TYPE_CHECKING:
+    from learning.training.run_folder import RunFolder
+
 COLUMNS = {
     "step": "environment steps so far",
     "updates": "updates of the critic so far",
@@ -93,7 +98,7 @@ class Tally:
     def row(self) -> dict[str, float]:
         """Means, and a new beginning."""
         sums = self.sums
-        self.sums = _nothing()
+        self.sums = dict.fromkeys(self._SUMS, 0.0)
         episodes, steps = sums["episodes"], sums["steps"]
         found: dict[str, float] = {"episodes": int(episodes)}
         if episodes:
@@ -106,9 +111,38 @@ class Tally:
         return found
 
 
-def _nothing() -> dict[str, float]:
-    names = ("episodes", "return", "length", "rotation", "dropped", "diverged", "steps", "reward")
-    return {name: 0.0 for name in names}  # noqa: C420 (of floats, for the type checker)
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a run's CSV file, as texts: of a number, or empty; none where there is no file.
+
+    A row that is being written, or that a kill cut short, is left out.
+
+    Raises:
+        InvalidInput: the file is no such log.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise InvalidInput(f"cannot read {path}: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise InvalidInput(
+            f"{path} is not a training log: byte {error.start} is not UTF-8"
+        ) from None
+    reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]))  # up to the last whole line
+    try:
+        rows = [row for row in reader if row.get("seconds")]
+        if reader.fieldnames is not None and "step" not in reader.fieldnames:
+            raise ValueError("it has no column step")
+        for row in rows:
+            float(row["step"])
+            if None in row:
+                raise ValueError(f"the row of step {row['step']} has more columns than the first")
+            for value in filter(None, row.values()):
+                float(value)
+    except (ValueError, csv.Error) as error:
+        raise InvalidInput(f"{path} is not a training log: {error}") from None
+    return rows
 
 
 class RunLog:
@@ -119,36 +153,32 @@ class RunLog:
         resume_at: continue logs that were written up to this step; what they have beyond it, of
             a run that was killed after its last checkpoint, is taken out. None begins anew.
         controllers: those that have columns of their own.
+
+    Raises:
+        InvalidInput: the log to be continued is none.
     """
 
     def __init__(
-        self, folder: Path, resume_at: int | None = None, controllers: Sequence[str] = ()
+        self, folder: RunFolder, resume_at: int | None = None, controllers: Sequence[str] = ()
     ) -> None:
+        self.path = folder.progress_path
+        names = columns(controllers)
+        rows = [] if resume_at is None else read_rows(self.path)
+        with (
+            aside(self.path) as part,
+            part.open("w", newline="", encoding="utf-8") as file,
+        ):
+            writer = _writer(file, names)
+            writer.writeheader()
+            writer.writerows(row for row in rows if float(row["step"]) <= (resume_at or 0))
         from torch.utils.tensorboard import SummaryWriter
 
-        self.path = folder / CSV_NAME
-        names = columns(controllers)
-        rows = [] if resume_at is None else self._rows_until(resume_at)
-        partial = self.path.with_suffix(".csv.partial")
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, names, restval="", lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-        partial.replace(self.path)
         self._file = self.path.open("a", newline="", encoding="utf-8")
-        self._csv = csv.DictWriter(self._file, names, restval="", lineterminator="\n")
+        self._csv = _writer(self._file, names)
         self._board = SummaryWriter(
-            str(folder / TENSORBOARD_FOLDER),
+            str(folder.tensorboard_path),
             purge_step=0 if resume_at is None else resume_at + 1,
         )
-
-    def _rows_until(self, step: int) -> list[dict[str, str]]:
-        if not self.path.exists():
-            return []
-        with self.path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        # a row cut short by the kill has no number in its last column
-        return [row for row in rows if row.get("seconds") and int(row["step"]) <= step]
 
     def write(self, row: Mapping[str, float]) -> None:
         """Add a row; its step is ``row["step"]``."""
@@ -177,3 +207,8 @@ class RunLog:
 
 
 _TRAIN = ("updates", "critic_loss", "actor_loss", "bc_loss", "q_mean", "beta", "seconds")
+
+
+def _writer(file: TextIO, names: Collection[str]) -> csv.DictWriter[str]:
+    """Of rows that may lack columns, or have some that the log does not."""
+    return csv.DictWriter(file, names, restval="", extrasaction="ignore", lineterminator="\n")

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.state import Floats
@@ -43,6 +42,8 @@ def interquartile_mean(values: ArrayLike, axis: int = -1) -> Floats:
     reinforcement learning at the edge of the statistical precipice", 2021, who use scipy's
     ``trim_mean`` with 0.25).
     """
+    from scipy import stats  # slow to import, so not before it is needed
+
     return np.asarray(stats.trim_mean(np.asarray(values, float), 0.25, axis=axis))
 
 
@@ -145,7 +146,9 @@ def wilson(successes: int, trials: int, *, confidence: float = 0.95) -> Estimate
             "0 <= successes <= trials and at least one trial"
         )
     _check_confidence(confidence)
-    found = stats.binomtest(int(successes), int(trials))
+    from scipy.stats import binomtest  # slow to import, so not before it is needed
+
+    found = binomtest(int(successes), int(trials))
     interval = found.proportion_ci(confidence_level=confidence, method="wilson")
     share = int(successes) / int(trials)
     # rounding may take an end of the interval past the share it belongs to
