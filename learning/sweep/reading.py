@@ -1,42 +1,35 @@
-"""The parts of a sweep's file: each is checked, and what is wrong is named in one line."""
+"""The tables of a sweep's file as configurations; what is wrong is named in one line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 from dexctl import controllers
-from dexctl.exceptions import InvalidInput, UnknownName
-from learning.envs import EnvConfig
-from learning.evaluate import Protocol
-from learning.exploration import GuidanceConfig
-from learning.recipes import recipe
-from learning.settings import TrainConfig
+from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
+from dexctl.settings import by_path, changed, get, paths
+from dexctl.sim.scene_config import SceneConfig
+from learning.config import RECIPES, TrainConfig, recipe
+from learning.evaluation.protocol import Protocol
 
-_ELSEWHERE = ("env", "guidance", "controllers", "seed")  # of TrainConfig: tables, or the matrix
+C = TypeVar("C")
+
+_DEFAULTS = {"env.scene.threads": 1}  # several runs share the machine
+_ELSEWHERE = {"seed": "seeds", "controllers": "controllers", "guidance.method": "methods"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class EvaluationPlan:
-    """How the policies of a sweep are evaluated.
+class Changes(NamedTuple):
+    """What [train] or [method.NAME] says.
 
     Attributes:
-        objects: by name, one after the other.
-        gravity: which way the palm looks.
-        episodes, seconds, seed: as `learning.evaluate.Protocol`'s.
-        controllers: evaluated in a policy's place, for comparison.
-        hand, control_period: of these.
+        recipe: its name; None where none is given.
+        settings: of `TrainConfig`, by path.
     """
 
-    objects: tuple[str, ...]
-    gravity: str | tuple[float, float, float]
-    episodes: int
-    seconds: float
-    seed: int
-    controllers: tuple[str, ...]
-    hand: str
-    control_period: float
+    recipe: str | None
+    settings: Mapping[str, Any]
 
 
 def check_keys(where: str, values: Mapping[str, Any], known: Iterable[str]) -> None:
@@ -62,21 +55,22 @@ def check_different(what: str, values: Sequence[Any]) -> None:
             raise InvalidInput(f"{what} has {value!r} twice")
 
 
-def groups(values: Any) -> list[tuple[str, ...]]:
+def groups(values: Any, what: str = "controllers") -> list[tuple[str, ...]]:
     """Controllers: names, or lists of names that guide together."""
     if not isinstance(values, list):
-        raise InvalidInput(f"controllers is {values!r}; expected a list of names")
+        raise InvalidInput(f"{what} is {values!r}; expected a list of names")
     found = []
     for value in values:
         group = tuple(value) if isinstance(value, list) else (value,)
         if not group:
-            raise InvalidInput("controllers has an empty list; expected names")
+            raise InvalidInput(f"{what} has an empty list; expected names")
         for name in group:
-            if not isinstance(name, str) or name not in controllers.names():
+            if not isinstance(name, str):
                 raise UnknownName("controller", name, controllers.names())
-        check_different("a group of controllers", group)
+            controllers.entry(name)
+        check_different(f"a group of {what}", group)
         found.append(group)
-    check_different("controllers", found)
+    check_different(what, found)
     return found
 
 
@@ -92,148 +86,103 @@ def seeds(value: Any) -> list[int]:
     return value
 
 
-def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with what ``over`` has, tables within tables included."""
-    found = dict(base)
-    for key, value in over.items():
-        before = found.get(key)
-        if isinstance(value, Mapping) and isinstance(before, Mapping):
-            found[key] = merged(before, value)
-        else:
-            found[key] = value
-    return found
-
-
-def check_settings(values: Mapping[str, Any], where: str) -> None:
-    """Raise UnknownName where [train] or [method.METHOD] names a setting that there is not."""
-    check_keys(where, values, (*_names(TrainConfig, _ELSEWHERE), "env", "guidance", "recipe"))
-    check_keys(f"{where}.env", table(values, "env", f"{where}.env"), _names(EnvConfig))
-    guidance = table(values, "guidance", f"{where}.guidance")
-    check_keys(f"{where}.guidance", guidance, _names(GuidanceConfig, ("method",)))
+def changes(values: Mapping[str, Any], where: str) -> Changes:
+    """What the table ``where``, [train] or [method.NAME], says."""
+    named = values.get("recipe")
+    if named is not None and (not isinstance(named, str) or named not in RECIPES):
+        raise UnknownName(f"{where}.recipe", named, RECIPES)
+    rest = {name: value for name, value in values.items() if name != "recipe"}
+    found = by_path(TrainConfig, rest, where)
+    for path, own in _ELSEWHERE.items():
+        if path in found:
+            raise InvalidInput(f"{where} has {path}, which the sweep says itself, as {own}")
+    return Changes(named, found)
 
 
 def train_config(
-    settings: Mapping[str, Any], method: str, names: tuple[str, ...], seed: int
+    parts: Sequence[Changes], method: str, names: tuple[str, ...], seed: int, folder: Path
 ) -> TrainConfig:
-    """The configuration of one run, from [train] with what [method.METHOD] changes.
+    """The configuration of one run.
 
-    Both go before the settings of a recipe that one of them names.
+    Args:
+        parts: what changes the recipe, each before the one before it.
+        method: of exploration.
+        names: of the controllers.
+        seed: of the run.
+        folder: where files are meant from; runs are elsewhere.
     """
-    if "recipe" in settings:
-        chosen = recipe(settings["recipe"], method)
-        given = {key: value for key, value in settings.items() if key != "recipe"}
-        base = {**chosen.training, "env": chosen.env, "guidance": chosen.guidance}
-        settings = merged(base, given)
-    top = {key: value for key, value in settings.items() if key not in ("env", "guidance")}
-    env = _options(EnvConfig, table(settings, "env"), "train.env")
-    guidance = _options(GuidanceConfig, table(settings, "guidance"), "train.guidance")
-    made = _made(
-        TrainConfig,
-        "train",
-        **_options(TrainConfig, top, "train"),
-        # one thread for each run: several are run side by side
-        env=_made(EnvConfig, "train.env", **{"threads": 1, **env}),
-        guidance=_made(GuidanceConfig, "train.guidance", method=method, **guidance),
-        controllers=names,
-        seed=seed,
+    named = [part.recipe for part in parts if part.recipe is not None]
+    settings = dict(_DEFAULTS)
+    for part in parts:
+        settings |= part.settings
+    base = recipe(named[-1] if named else "thesis", method)
+    made = _changed(
+        base, {**settings, "controllers": names, "seed": seed}, f"runs of {method}", folder
     )
-    _check_objects("train.env.object", made.env.objects)
-    _check_gravity(made.env.gravity)
+    _check_scene(made.env.scene, f"runs of {method}")
     return made
 
 
-def evaluation(values: Mapping[str, Any], env: EnvConfig, needed: Sequence[str]) -> EvaluationPlan:
-    """The table [evaluation]; objects and gravity are those trained with, unless it has others.
+def protocol(
+    values: Mapping[str, Any], trained: Sequence[TrainConfig], folder: Path
+) -> Protocol:
+    """How all policies are evaluated: as they were trained, but undisturbed, where [evaluation]
+    says nothing else.
 
     Args:
-        values: the table.
-        env: of the first run.
-        needed: controllers that are to be evaluated beside those that it names.
+        values: the table [evaluation].
+        trained: every run's configuration.
+        folder: where files are meant from.
     """
-    check_keys(
-        "evaluation", values, ("objects", "gravity", "episodes", "seconds", "seed", "controllers")
-    )
-    objects = values.get("objects", list(env.objects))
-    if not isinstance(objects, list) or not objects:
-        raise InvalidInput(f"evaluation.objects is {objects!r}; expected a list of names")
-    check_different("evaluation.objects", objects)
-    _check_objects("evaluation.objects", objects)
-    gravity = values.get("gravity", env.gravity)
-    gravity = tuple(gravity) if isinstance(gravity, list) else gravity
-    _check_gravity(gravity)
-    number = values.get("seed", 0)
-    if not _whole(number, 0):
-        raise InvalidInput(f"evaluation.seed is {number!r}; expected a whole number from 0 on")
-    protocol = _made(
-        Protocol,
-        "evaluation",
-        episodes=values.get("episodes", 100),
-        seconds=values.get("seconds", 60.0),
-    )
-    if protocol.seconds < env.control_period:
-        raise InvalidInput(
-            f"evaluation.seconds is {protocol.seconds}; expected at least one control period of "
-            f"{env.control_period}"
-        )
-    compared = groups(values.get("controllers", []))
-    for group in compared:
-        if len(group) > 1:
+    settings = by_path(Protocol, values, "evaluation")
+    threads = trained[0].env.scene.threads
+    made = []
+    for env in dict.fromkeys(config.env for config in trained):
+        scene = replace(env.scene.undisturbed(), threads=threads)
+        made.append(_changed(Protocol(scene=scene, task=env.task), settings, "evaluation", folder))
+    for path in paths(Protocol):
+        found = list(dict.fromkeys(get(one, path) for one in made))
+        if len(found) > 1:
             raise InvalidInput(
-                f"evaluation.controllers has {list(group)}; each is evaluated by itself"
+                f"runs are trained with {path} {found[0]} and {found[1]}, and all are evaluated "
+                "alike; say which in [evaluation]"
             )
-    return EvaluationPlan(
-        objects=tuple(objects),
-        gravity=gravity,
-        episodes=protocol.episodes,
-        seconds=float(protocol.seconds),
-        seed=number,
-        controllers=tuple(dict.fromkeys([*(group[0] for group in compared), *needed])),
-        hand=env.hand,
-        control_period=env.control_period,
+    _check_scene(made[0].scene, "evaluation")
+    if made[0].seconds < made[0].scene.control_period:
+        raise InvalidInput(
+            f"evaluation.seconds is {made[0].seconds}; expected at least one control period of "
+            f"{made[0].scene.control_period}"
+        )
+    return made[0]
+
+
+def _changed(config: C, settings: Mapping[str, Any], where: str, folder: Path) -> C:
+    """``config`` with settings, and with files as absolute paths."""
+    try:
+        made = changed(config, settings)
+    except DexctlError as error:  # the configurations do not know the sweep's tables
+        raise InvalidInput(f"{where}: {error}") from None
+    files = {path: get(made, path) for path in paths(type(made))}
+    return changed(
+        made,
+        {
+            path: (folder / file.expanduser()).resolve()
+            for path, file in files.items()
+            if isinstance(file, Path)
+        },
     )
 
 
-def _check_objects(what: str, names: Sequence[Any]) -> None:
-    from dexctl.sim import object_names
-
-    for name in names:
-        if name not in object_names():
-            raise UnknownName(f"object in {what}", name, object_names())
-
-
-def _check_gravity(gravity: Any) -> None:
+def _check_scene(scene: SceneConfig, where: str) -> None:
+    """Raise where the simulator does not know an object, or which way is down."""
+    from dexctl.sim.objects import MESH, object_names
     from dexctl.sim.scene import gravity_vector
 
-    gravity_vector(gravity)
+    for name in scene.object:
+        if name not in (*object_names(), MESH):
+            raise UnknownName(f"object in {where}", name, object_names())
+    gravity_vector(scene.gravity)
 
 
 def _whole(value: Any, least: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
-def _names(kind: type, left_out: Iterable[str] = ()) -> tuple[str, ...]:
-    return tuple(one.name for one in fields(kind) if one.name not in left_out)
-
-
-def _made(kind: type, where: str, **options: Any) -> Any:
-    try:
-        return kind(**options)
-    except TypeError as error:  # a list where a number belongs, and the like
-        raise InvalidInput(f"[{where}] has a value of the wrong kind: {error}") from None
-
-
-def _options(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """What a dataclass takes, from TOML: its lists are tuples, its whole numbers may be floats."""
-    defaults = {one.name: one.default for one in fields(kind)}
-    found = {}
-    for name, value in values.items():
-        default = defaults[name]
-        if default is not MISSING and isinstance(value, bool) != isinstance(default, bool):
-            wanted = "true or false" if isinstance(default, bool) else "no truth value"
-            raise InvalidInput(f"{where}.{name} is {value!r}; expected {wanted}")
-        if isinstance(default, str) and not isinstance(value, str | list):
-            raise InvalidInput(f"{where}.{name} is {value!r}; expected a name")
-        if isinstance(default, float) and isinstance(value, int):
-            value = float(value)
-        found[name] = tuple(value) if isinstance(value, list) else value
-    return found
