@@ -122,5 +122,7 @@ def test_bad_values(values: dict[str, Any], message: str) -> None:
 
 @pytest.mark.parametrize("name", ["obiect", "scene.obiect", "count.size", "noise.joint", ""])
 def test_unknown_names(name: str) -> None:
-    with pytest.raises(UnknownName, match="unknown setting (of scene )?.*; known: (scene, kind|object, grav)"):
+    with pytest.raises(
+        UnknownName, match="unknown setting (of scene )?.*; known: (scene, kind|object, grav)"
+    ):
         changed(Run(), {name: 1})

@@ -106,11 +106,11 @@ class Calibrate(HandOptions):
     """
 
     out: Path = Path("calibration.toml")
-    """The file."""
+    """The file to write."""
     torque_constant: float = TORQUE_CONSTANT
     """Torque per current of the servos [N m/A]; the default is from the data sheet."""
     seed: int = 0
-    """Of the emulated signs and zeros."""
+    """Seed of the emulated signs and zeros."""
     json: bool = False
     """Print one JSON object instead of the summary."""
 

@@ -66,15 +66,12 @@ class MujocoHand(Joints):
             self._sim.set_grasp(scene.open_q, scene.open_q, self._far, [1.0, 0.0, 0.0, 0.0])
         self._state = self._sim.read()
         super().__init__(self._state.q, timestep)
-        self._qpos = 1 + scene.object_qpos.start  # columns of the physics state: time, qpos, qvel
-        qvel = 1 + scene.model.nq + scene.object_qvel.start
-        self._object_qvel = slice(qvel, qvel + 6)
         self._anchor = self.q.copy()
         self._kp = np.full(len(self.q), float(scene.stiffness[0]))
         self._kv = np.zeros(len(self.q))
         self._gains: tuple[float, float] | None = None
         self.supported = not self._empty
-        self._start = self._sim.save().physics[:, self._qpos : self._qpos + 7].copy()
+        self._held_at = self._object_pose()
         self._pressed = 0.0
 
     def touch(self) -> dict[str, object]:
@@ -95,7 +92,7 @@ class MujocoHand(Joints):
         """Hold the object still where it is now, or let it go at once."""
         self.supported = bool(supported) and not self._empty
         self._pressed = 0.0
-        self._start = self._sim.save().physics[:, self._qpos : self._qpos + 7].copy()
+        self._held_at = self._object_pose()
 
     def _step(self, h: float) -> None:
         self._take_gains()
@@ -141,7 +138,7 @@ class MujocoHand(Joints):
     def _hold_object(self, h: float) -> None:
         """Keep a supported object still, and the empty hand's object from falling for ever."""
         if self.supported:
-            self._place_object(self._start)
+            self._sim.place_object(*self._held_at)
             pressing = (self._state.contact_force >= PRESSING_FORCE).all()
             driven = self.commands.torque_on.all()
             self._pressed = self._pressed + h if pressing and driven else 0.0
@@ -150,13 +147,13 @@ class MujocoHand(Joints):
         elif self._empty:
             at = self._state.object_position
             if at is not None and np.abs(at).max() > FARTHEST:
-                self._place_object(np.array([[*self._far, 1.0, 0.0, 0.0, 0.0]]))
+                self._sim.place_object(self._far, [1.0, 0.0, 0.0, 0.0])
 
-    def _place_object(self, pose: Floats) -> None:
-        saved = self._sim.save()
-        saved.physics[:, self._qpos : self._qpos + 7] = pose
-        saved.physics[:, self._object_qvel] = 0.0
-        self._sim.restore(saved)
+    def _object_pose(self) -> tuple[Floats, Floats]:
+        state = self._sim.read()
+        assert state.object_position is not None
+        assert state.object_quaternion is not None
+        return state.object_position, state.object_quaternion
 
 
 def _list(vector: Floats | None) -> list[float] | None:

@@ -96,9 +96,7 @@ class TD3Config(OffPolicyConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_numbers(
-            self, not_negative=("exploration_noise", "target_noise", "target_noise_clip")
-        )
+        check_numbers(self, not_negative=("exploration_noise", "target_noise", "target_noise_clip"))
 
 
 @dataclass(frozen=True, kw_only=True)

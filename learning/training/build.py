@@ -21,8 +21,7 @@ def build_guide(config: TrainConfig, env: ManipulationVectorEnv) -> Guide:
     """Who acts in them."""
     period, axis = env.simulation.control_period, config.env.task.direction
     made = [
-        controllers.make(name, env.hand, control_period=period, axis=axis)
-        for name in config.guides
+        controllers.make(name, env.hand, control_period=period, axis=axis) for name in config.guides
     ]
     return Guide(env, made, config.guidance, config.seed)
 

@@ -85,7 +85,6 @@ class RunFolder:
             InvalidInput: there is none, or it is wrong.
         """
         from dexctl.settings import from_plain
-
         from learning.config import TrainConfig
 
         return from_plain(TrainConfig, self.config_values(), str(self.config_path))

@@ -21,10 +21,11 @@ from hardware.cli.check import _Look
 from hardware.cli.latency import delays
 from hardware.cli.options import HandOptions
 from hardware.emulator import Emulator
+from hardware.figures import figures_of_merit
 from hardware.hand import ServoHand
 from hardware.log import LogWriter, read_log
 from hardware.motions import Replay, Sine, StepAndChirp, lag
-from hardware.report import build, figures_of_merit
+from hardware.report import build
 from learning import policies
 
 # Real-time loops: on a machine that others keep busy their deadlines pass, as they should.
@@ -59,21 +60,25 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["run", "igm"], "igm goes by touch; expected --tactile PORT"),
         (["run", "igm", "--emulate", "--port", "/dev/x"], "--emulate and --port /dev/x"),
         (["run", "sine", "--emulate", "--rate", "0"], "--rate is 0.0"),
-        (["run", "learned", "--emulate", "--rate", "50"], "learned runs at 20 Hz"),
+        (["run", "learned", "--emulate", "--rate", "50"], "was trained with 0.05"),
         (["run", "none.npz", "--emulate"], "policy 'none.npz': no such file"),
-        (["run", "sine", "--emulate", "--speed", "9"], "speed is 9.0; expected at most 3.0"),
-        (["run", "sine", "--emulate", "--torque", "nan"], "torque is nan"),
+        (
+            ["run", "sine", "--emulate", "--speed-limit", "9"],
+            "speed_limit is 9.0; expected at most 3.0",
+        ),
+        (["run", "sine", "--emulate", "--torque-limit", "nan"], "torque_limit is nan"),
         (["run", "sine", "--emulate", "--seconds", "inf"], "--seconds is inf"),
         (["run", "sine", "--emulate", "--gravity", "left"], "unknown palm direction 'left'"),
         (["run", "nowhere:make", "--emulate"], "'nowhere:make'; it cannot be loaded"),
         (["run", "hold", "--emulate", "--object", "pear"], "unknown object 'pear'"),
-        (["run", "sine", "--emulate", "--patience", "0"], "--patience is 0.0"),
+        (["run", "sine", "--emulate", "--patience", "0"], "patience is 0.0"),
         (["run", "sine", "--emulate", "--stiffness", "-1"], "kp is -1.0"),
         (["check", "--hand", "claw"], "unknown hand 'claw'"),
         (["check", "--calibration", "none.toml"], "none.toml is no calibration file"),
         (["check", "--emulate", "--reboot", "300"], "--reboot is 300"),
         (["latency", "--emulate", "--joint", "knee"], "unknown joint 'knee'"),
         (["replay", "none.mcap"], "cannot read none.mcap"),
+        (["replay", "a.mcap", "--emulate", "--port", "/dev/x"], "--emulate and --port /dev/x"),
         (["report", "none.mcap"], "cannot read none.mcap"),
         (["calibrate", "--emulate", "--torque-constant", "0"], "--torque-constant is 0.0"),
         (["calibrate", "--emulate", "--out", "no/such/c.toml"], "its folder does not exist"),
@@ -162,7 +167,7 @@ def test_run_replay_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
     words = ["replay", str(first / "run.mcap"), "--out", str(second), "--patience", "10"]
     assert main(["hardware", *words]) == 0
-    assert "joints against the log" in capsys.readouterr().out
+    assert "joints against those of the log" in capsys.readouterr().out
     assert main(["hardware", *words[:2], "--out", str(first)]) == 2
 
     content = (first / "run.mcap").read_bytes()

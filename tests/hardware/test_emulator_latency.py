@@ -18,7 +18,7 @@ IDS = range(1, 4)
 @pytest.fixture
 def late() -> Iterator[Emulator]:
     pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
-    with Emulator(3, manual=True, latency=0.05) as emulator:
+    with Emulator(3, manual=True, action_latency=0.05) as emulator:
         yield emulator
 
 
@@ -55,8 +55,8 @@ def test_what_a_limp_servo_was_asked_does_not_move_it_later(late: Emulator, bus:
 
 @pytest.mark.parametrize("latency", [-0.1, 2.0, float("nan")])
 def test_bad_latency(latency: float) -> None:
-    with pytest.raises(BusError, match="latency is .*; expected 0 to 1 s"):
-        Emulator(3, latency=latency)
+    with pytest.raises(BusError, match="action_latency is .*; expected 0 to 1 s"):
+        Emulator(3, action_latency=latency)
 
 
 def test_limp_shafts_are_turned_by_hand(late: Emulator, bus: Bus) -> None:

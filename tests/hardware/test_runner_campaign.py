@@ -41,9 +41,9 @@ from hardware.emulator import Emulator
 from hardware.hand import ServoHand
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
-from hardware.machine import Event, State, Torque
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
+from hardware.state_machine import Event, State, Torque
 from hardware.tactile import SerialTactile, format_line
 
 ROOT = Path(__file__).resolve().parents[2]

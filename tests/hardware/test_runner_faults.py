@@ -20,9 +20,9 @@ from hardware.emulator import Emulator
 from hardware.hand import ServoHand
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
-from hardware.machine import Event, State, Torque
 from hardware.run_report import RunReport
 from hardware.runner import Runner
+from hardware.state_machine import Event, State, Torque
 
 # Real-time loops: on a machine that others keep busy their deadlines pass, as they should.
 pytestmark = pytest.mark.slow

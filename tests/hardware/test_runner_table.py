@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hardware.machine import COUNTED, TABLE, Action, Event, State, Torque, transition
+from hardware.state_machine import COUNTED, TABLE, Action, Event, State, Torque, transition
 
 I, A, R, H, F = State.IDLE, State.ARMED, State.RUN, State.HOLD, State.FAULT  # noqa: E741
 FREEZE, SOON = Action.FREEZE, Action.FREEZE_THEN_RELEASE

@@ -21,7 +21,12 @@ PARTS = ("q", "contact_force", "object_position", "q_target")
 
 def made(latency: float, count: int = 2, **options) -> ManipulationVectorEnv:
     config = env_config(
-        object="cylinder", parts=PARTS, joint_noise=0.01, threads=1, sensor_latency=latency, **options
+        object="cylinder",
+        parts=PARTS,
+        joint_noise=0.01,
+        threads=1,
+        sensor_latency=latency,
+        **options,
     )
     return make_vector(config, count, seed=5)
 

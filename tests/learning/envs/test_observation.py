@@ -23,7 +23,6 @@ from learning.envs import (
 )
 
 
-
 def env_config(**settings: Any) -> EnvConfig:
     return from_plain(EnvConfig, settings)
 
@@ -108,7 +107,10 @@ def test_observations_stay_in_their_space() -> None:
 
 def test_controllers_see_the_truth() -> None:
     config = env_config(object="cylinder", threads=1)
-    plain, noisy = make_vector(config, 2, seed=0), make_vector(changed(config, {"joint_noise": 0.1}), 2)
+    plain, noisy = (
+        make_vector(config, 2, seed=0),
+        make_vector(changed(config, {"joint_noise": 0.1}), 2),
+    )
     a, _ = plain.reset(seed=0)
     b, _ = noisy.reset(seed=0)
     np.testing.assert_array_equal(plain.state.q, noisy.state.q)

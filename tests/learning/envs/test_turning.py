@@ -92,9 +92,11 @@ def test_speed_is_measured_at_control_rate() -> None:
     from learning.envs import EnvConfig, make_vector
 
     axis = np.array([0.0, 0.6, 0.8])
-    envs = make_vector(from_plain(
-        EnvConfig, {"object": "cylinder", "axis": (0.0, 3.0, 4.0), "threads": 1}
-    ), 2, seed=0)
+    envs = make_vector(
+        from_plain(EnvConfig, {"object": "cylinder", "axis": (0.0, 3.0, 4.0), "threads": 1}),
+        2,
+        seed=0,
+    )
     igm = controllers.make("igm", envs.hand)
     for _ in range(5):
         before = envs.state.object_quaternion
