@@ -20,7 +20,8 @@ from dexctl import settings
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import from_plain, to_plain
 from learning.config import TrainConfig
-from learning.evaluation import FULL_TURN, Protocol
+from learning.evaluation.figures import FULL_TURN
+from learning.evaluation.protocol import Protocol
 from learning.exploration.config import METHODS, check_controllers
 from learning.sweep import reading
 
