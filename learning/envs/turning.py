@@ -153,7 +153,7 @@ class Turning(Task):
             reward=reward(motion, self.config),
             dropped=(away > self.config.drop_distance) & ~step.diverged,
             succeeded=np.zeros(len(away), bool),  # it can always be turned further
-            info={**motion._asdict(), "rotation": self.rotation},
+            info={**motion._asdict(), "rotation": self.rotation.copy()},
         )
 
     def save(self) -> dict[str, Any]:

@@ -6,7 +6,10 @@ import torch
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
-from learning.algorithms import PPO, SAC, TD3, Algorithm, Cloning
+from learning.algorithms.base import Algorithm, Cloning
+
+from learning.algorithms.sac import SAC
+from learning.algorithms.td3 import TD3
 from learning.config import TrainConfig
 from learning.envs.vector import ManipulationVectorEnv, make_vector
 from learning.exploration.guide import Guide
@@ -40,6 +43,8 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
     }
     own = {"seed": config.seed, "device": device(config.device)}
     if config.algorithm == "ppo":
+        from learning.algorithms.ppo import PPO
+
         return PPO(config.ppo, **sizes, **own)
     guidance = config.guidance
     own |= {

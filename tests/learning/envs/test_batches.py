@@ -131,6 +131,7 @@ def test_final_observations_are_those_without_autoreset(wiggle: np.ndarray) -> N
         last, _, _, _, _ = plain.step(action[None])
     assert truncated.all()
     np.testing.assert_array_equal(info["final_obs"], last)
+    assert info["rotation"][0] != 0.0  # of the episode that ended, not of the next one
     np.testing.assert_array_equal(observations, plain.reset()[0])
 
 
