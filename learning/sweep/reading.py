@@ -119,7 +119,7 @@ def train_config(
     made = _changed(
         base, {**settings, "controllers": names, "seed": seed}, f"runs of {method}", folder
     )
-    _check_scene(made.env.scene, f"runs of {method}")
+    _check_objects(made.env.scene, f"runs of {method}")
     return made
 
 
@@ -147,7 +147,7 @@ def protocol(
                 f"runs are trained with {path} {found[0]} and {found[1]}, and all are evaluated "
                 "alike; say which in [evaluation]"
             )
-    _check_scene(made[0].scene, "evaluation")
+    _check_objects(made[0].scene, "evaluation")
     if made[0].seconds < made[0].scene.control_period:
         raise InvalidInput(
             f"evaluation.seconds is {made[0].seconds}; expected at least one control period of "
@@ -173,15 +173,13 @@ def _changed(config: C, settings: Mapping[str, Any], where: str, folder: Path) -
     )
 
 
-def _check_scene(scene: SceneConfig, where: str) -> None:
-    """Raise where the simulator does not know an object, or which way is down."""
+def _check_objects(scene: SceneConfig, where: str) -> None:
+    """Raise UnknownName where the simulator does not know an object."""
     from dexctl.sim.objects import MESH, object_names
-    from dexctl.sim.scene import gravity_vector
 
     for name in scene.object:
         if name not in (*object_names(), MESH):
             raise UnknownName(f"object in {where}", name, object_names())
-    gravity_vector(scene.gravity)
 
 
 def _whole(value: Any, least: int) -> bool:

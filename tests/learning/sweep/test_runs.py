@@ -7,40 +7,40 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput
-from learning import load_policy
-from learning.cli_sweep import Sweep
+from learning.cli.sweep import Sweep
+from learning.policies import load
 from learning.sweep.cluster import ClusterError, RayPool, run_here
 from learning.sweep.config import SweepConfig
 from learning.sweep.jobs import Job, jobs, outcome
 from learning.sweep.process import LocalPool
-from learning.train import read_config
-from learning.training.run_folder import locked
+from learning.training.run_folder import RunFolder, locked
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TEXT = """
 methods = ["rl", "vge"]
 controllers = ["hold"]
 [train]
 steps = 800
 num_envs = 4
+log_every = 100
+checkpoint_every = 100
+device = "cpu"
+[train.sac]
 network = [16]
 batch_size = 16
 gradient_steps = 1
 learning_starts = 40
 buffer_size = 200
-log_every = 100
-checkpoint_every = 100
-device = "cpu"
 [train.env]
 object = "cylinder"
 episode_steps = 50
@@ -51,7 +51,7 @@ episodes = 2
 seconds = 0.5
 """
 RUN = (
-    "import sys; from dexctl.cli.parsing import parse; from learning.cli_sweep import Sweep; "
+    "import sys; from dexctl.cli.parsing import parse; from learning.cli.sweep import Sweep; "
     "parse(Sweep, 'dexctl sweep', sys.argv[1:]).run()"
 )
 
@@ -89,7 +89,7 @@ def hold(tmp_path: Path, name: str = "hold") -> Job:
         }
     )
     job = next(jobs(config, tmp_path))
-    return Job(name, job.folder.with_name(name), job.evaluation)
+    return replace(job, name=name, folder=job.folder.with_name(name))
 
 
 def test_killed_and_started_again(
@@ -101,7 +101,7 @@ def test_killed_and_started_again(
     vge.mkdir(parents=True)
     (vge / "config.json").write_text("{")
     prepared = SweepConfig.load(file)
-    (out / "sweep.json").write_text(json.dumps({"format": 1, **prepared.to_dict()}))
+    (out / "sweep.json").write_text(json.dumps({"format": 2, **prepared.to_dict()}))
     sweep = subprocess.Popen(
         [sys.executable, "-c", RUN, str(file), "--out", str(out), "--jobs", "2"],
         cwd=ROOT,
@@ -137,13 +137,13 @@ def test_killed_and_started_again(
     assert (rl / "result.json").stat().st_mtime_ns == done  # what is finished stays
     config = {run.name: run.config for run in prepared.runs}
     for folder, steps in ((rl, 800), (vge, 100)):
-        assert read_config(folder) == config[folder.name]  # a run as any other
-        assert load_policy(folder / "policy.npz").card["steps"] == steps
+        assert RunFolder(folder).config() == config[folder.name]  # a run as any other
+        assert load(folder).card["steps"] == steps
         result = json.loads((folder / "result.json").read_text())
         assert result["steps"] == steps
         assert len(result["episodes"]["cylinder"]["rotation_rad"]) == 2
-    file.write_text(TEXT.replace("[train]", "[train]\ngamma = 0.9"))
-    with pytest.raises(InvalidInput, match="other settings: runs.rl-0.gamma was 0.99, is 0.9;"):
+    file.write_text(TEXT.replace("[train.sac]", "[train.sac]\ngamma = 0.9"))
+    with pytest.raises(InvalidInput, match="other settings: runs.rl-0.sac.gamma was 0.99, is 0.9;"):
         run(str(file), "--out", str(out))
 
 
@@ -211,7 +211,7 @@ def test_on_a_ray_cluster(file: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     poisoned.mkdir(parents=True)
     (poisoned / "config.json").write_text("{")
     prepared = SweepConfig.load(file, steps=100)
-    (out / "sweep.json").write_text(json.dumps({"format": 1, **prepared.to_dict()}))
+    (out / "sweep.json").write_text(json.dumps({"format": 2, **prepared.to_dict()}))
     cluster = start_ray()
     try:
         given = [str(file), "--steps", "100", "--out", str(out), "--ray", cluster.address]

@@ -14,16 +14,15 @@ import pytest
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput
-from learning.cli_sweep import Sweep
-from learning.cli_sweep_display import line
-from learning.cli_sweep_figure import draw
+from learning.cli.sweep import Sweep
+from learning.cli.sweep_display import Progress, line, of_rows
+from learning.cli.sweep_figure import draw
 from learning.sweep.config import Cell, SweepConfig
 from learning.sweep.curves import Log, over_seeds, read_log
 from learning.sweep.jobs import outcome, write_failure, write_result
 from learning.sweep.results import collect, write_csv
 from learning.sweep.run import prepare
 from learning.sweep.table import caption, markdown_table
-from learning.sweep.watch import Progress, of_rows
 from learning.training.log import COLUMNS
 
 GIVEN: dict[str, Any] = {
@@ -147,7 +146,7 @@ def test_the_table_by_hand(half_done: Path) -> None:
 
 
 def test_several_objects_are_rows_of_their_own(half_done: Path) -> None:
-    both = {**GIVEN, "evaluation": {"objects": ["cube", "cylinder"]}}
+    both = {**GIVEN, "evaluation": {"object": ["cube", "cylinder"]}}
     result = {"objects": {"cube": figures(3.0, 1, 0), "cylinder": figures(1.0, 2, 0)}}
     write_result(half_done / "runs" / "vge-igm-0", result)
     for folder in half_done.glob("runs/*-gait-*"):
