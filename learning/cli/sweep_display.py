@@ -59,11 +59,7 @@ def of_rows(folder: Path, total: int) -> Progress:
     if not rows:
         return Progress(0, total, {}, None)
     last = rows[-1]
-    figures = {
-        name: last[name]
-        for name in _FIGURES
-        if not math.isnan(last.get(name, math.nan))
-    }
+    figures = {name: last[name] for name in _FIGURES if not math.isnan(last.get(name, math.nan))}
     points = [(0.0, 0.0), *((row["step"], row["seconds"]) for row in rows)]
     (step, seconds), (before, then) = points[-1], points[max(len(points) - 1 - _RECENT, 0)]
     speed = (step - before) / (seconds - then) if seconds > then else 0.0

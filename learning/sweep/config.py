@@ -2,8 +2,8 @@
 
 A file names methods, controllers and seeds; ``[train]`` changes `TrainConfig`, and
 ``[method.NAME]`` does so for one method, which may have ``controllers`` and ``seeds`` of its own;
-``[evaluation]`` changes `Protocol`, and ``[criterion]`` says what counts. ``examples/sweep.toml`` is
-one.
+``[evaluation]`` changes `Protocol`, and ``[criterion]`` says what counts. ``examples/sweep.toml``
+is one.
 """
 
 from __future__ import annotations

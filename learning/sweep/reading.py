@@ -123,9 +123,7 @@ def train_config(
     return made
 
 
-def protocol(
-    values: Mapping[str, Any], trained: Sequence[TrainConfig], folder: Path
-) -> Protocol:
+def protocol(values: Mapping[str, Any], trained: Sequence[TrainConfig], folder: Path) -> Protocol:
     """How all policies are evaluated: as they were trained, but undisturbed, where [evaluation]
     says nothing else.
 

@@ -28,9 +28,7 @@ def collect(config: SweepConfig, out: Path) -> dict[str, Any]:
         ``controllers`` (evaluated in a policy's place), and ``cells`` (one for each method, group
         of controllers and object).
     """
-    compared = {
-        name: _controller(controller_folder(out, name)) for name in config.compared
-    }
+    compared = {name: _controller(controller_folder(out, name)) for name in config.compared}
     runs = [_run(run, out) for run in config.runs]
     content = config.to_dict()
     return {

@@ -132,7 +132,7 @@ def test_what_a_method_says_goes_before_train_by_any_name() -> None:
     )
     runs = {run.config.guidance.method: run.config for run in SweepConfig.parse(given).runs}
     assert (runs["rl"].env.task.axis, runs["vge"].env.task.axis) == ("y", "x")
-    # neither table alone would be a configuration: rl+bc clones no states that a controller acted in
+    # [train] alone is no configuration of rl+bc, where no controller acts
     given = changed(train__guidance={"cloned": "acted"}, **{"method__rl+bc__cloned": "visited"})
     runs = {run.config.guidance.method: run.config for run in SweepConfig.parse(given).runs}
     assert (runs["rl+bc"].guidance.cloned, runs["vge"].guidance.cloned) == ("visited", "acted")
