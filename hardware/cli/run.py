@@ -43,8 +43,7 @@ class Run(HandOptions):
     """
 
     controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER")]
-    """igm, switch, gait, coordinated, learned, hold or sine; a policy's name, file or run
-    folder; or module:function."""
+    """igm, switch, gait, coordinated, hold, sine; a policy's name, file or run; module:function."""
     seconds: float = 30.0
     """How long the controller runs [s]."""
     rate: float | None = None

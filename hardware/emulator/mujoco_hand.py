@@ -21,7 +21,6 @@ from hardware.registers import OperatingMode
 
 NOTHING = "none"
 FAR = 10.0  # m from the hand: where the object of an empty hand starts its fall
-FARTHEST = 50.0  # m: where it is brought back
 GEAR_FRICTION = 0.1  # N m that holds a joint while its torque is off (ours)
 PRESSING_FORCE = 1.0  # N by every finger, over
 PRESSING_TIME = 0.3  # s, and the object is let go
@@ -60,10 +59,9 @@ class MujocoHand(Joints):
         self._sim = BatchSimulator(
             scene, control_period=timestep, substeps=1, threads=1, disturbance=0.0, seed=seed
         )
-        away = FAR * scene.gravity / np.linalg.norm(scene.gravity)
-        self._far = scene.grasp_centre + away
         if self._empty:
-            self._sim.set_grasp(scene.open_q, scene.open_q, self._far, [1.0, 0.0, 0.0, 0.0])
+            far = scene.grasp_centre + FAR * scene.gravity / np.linalg.norm(scene.gravity)
+            self._sim.set_grasp(scene.open_q, scene.open_q, far, [1.0, 0.0, 0.0, 0.0])
         self._state = self._sim.read()
         super().__init__(self._state.q, timestep)
         self._anchor = self.q.copy()
@@ -136,18 +134,14 @@ class MujocoHand(Joints):
         return np.where(c.torque_on, np.where(plain, self.reference, asked), self._anchor)
 
     def _hold_object(self, h: float) -> None:
-        """Keep a supported object still, and the empty hand's object from falling for ever."""
-        if self.supported:
-            self._sim.place_object(*self._held_at)
-            pressing = (self._state.contact_force >= PRESSING_FORCE).all()
-            driven = self.commands.torque_on.all()
-            self._pressed = self._pressed + h if pressing and driven else 0.0
-            if self._pressed >= PRESSING_TIME:
-                self.supported = False
-        elif self._empty:
-            at = self._state.object_position
-            if at is not None and np.abs(at).max() > FARTHEST:
-                self._sim.place_object(self._far, [1.0, 0.0, 0.0, 0.0])
+        """Keep a supported object still until every finger has pressed on it for long enough."""
+        if not self.supported:
+            return
+        self._sim.place_object(*self._held_at)
+        pressing = (self._state.contact_force >= PRESSING_FORCE).all()
+        driven = self.commands.torque_on.all()
+        self._pressed = self._pressed + h if pressing and driven else 0.0
+        self.supported = self._pressed < PRESSING_TIME
 
     def _object_pose(self) -> tuple[Floats, Floats]:
         state = self._sim.read()

@@ -28,8 +28,8 @@ from hardware.motions import Replay, Sine, StepAndChirp, lag
 from hardware.report import build
 from learning import policies
 
-# Real-time loops: on a machine that others keep busy their deadlines pass, as they should.
-pytestmark = pytest.mark.slow
+# A real-time loop: on a machine that others keep busy its deadlines pass, as they should.
+real_time = pytest.mark.slow
 
 # the machine may be busy with other tests
 PATIENT = ["--emulate", "--patience", "10"]
@@ -106,6 +106,7 @@ def test_a_port_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert "/dev/none" in capsys.readouterr().err
 
 
+@real_time
 def test_calibrate_then_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "hand.toml"
     assert main(["hardware", "calibrate", "--emulate", "--seed", "3", "--out", str(path)]) == 0
@@ -153,6 +154,7 @@ def test_check_names_what_is_wrong(dex5: dexctl.HandModel) -> None:
     assert "servo 4" in said and "9.7 V; expected 10.0 to 14.8" in said
 
 
+@real_time
 def test_run_replay_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
     words = ["run", "sine", "--seconds", "1", "--json", "--out", str(first), *PATIENT]
@@ -177,6 +179,7 @@ def test_run_replay_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "No summary" in (tmp_path / "report.html").read_text()
 
 
+@real_time
 def test_in_grasp_manipulation_turns_the_object(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -188,6 +191,7 @@ def test_in_grasp_manipulation_turns_the_object(
     assert "Touch" in (tmp_path / "report.html").read_text()
 
 
+@real_time
 @pytest.mark.parametrize("policy", ["learned", str(policies.FOLDER / "dex5-cylinder.npz")])
 def test_a_learned_policy_turns_the_object(
     policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -210,12 +214,12 @@ def test_a_log_without_ticks_gives_a_page(tmp_path: Path) -> None:
     assert "The log holds no ticks" in build(found)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.043, 0.1])
-def test_lag_is_found_between_samples(delay: float) -> None:
+def test_lag_is_found_between_samples() -> None:
     time = np.arange(0, 8, 0.01)
     chirp = np.sin(2 * np.pi * (0.3 + 0.1 * time) * time)
-    late = np.interp(time - delay, time, chirp, left=0.0)
-    assert lag(chirp, late, 0.01) == pytest.approx(delay, abs=2e-3)
+    for delay in (0.0, 0.043, 0.1):
+        late = np.interp(time - delay, time, chirp, left=0.0)
+        assert lag(chirp, late, 0.01) == pytest.approx(delay, abs=2e-3)
     assert np.isnan(lag(np.zeros(100), np.zeros(100), 0.01))
 
 
