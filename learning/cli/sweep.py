@@ -78,8 +78,13 @@ class Sweep:
             from learning.cli.sweep_display import Display
 
             total = len(config.runs) + len(config.compared)
-            with self._pool() as pool, Display(total) as lines, _terminated_like_interrupted():
-                run_all(config, folder, pool, watch=lines.show)
+            try:
+                with self._pool() as pool, Display(total) as lines, _terminated_like_interrupted():
+                    run_all(config, folder, pool, watch=lines.show)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"interrupted: what was begun is saved; `dexctl sweep {folder}` goes on"
+                ) from None
             return self._report(config, folder)
 
     def _pool(self) -> LocalPool | RayPool:

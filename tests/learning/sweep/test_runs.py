@@ -23,6 +23,7 @@ from learning.sweep.cluster import ClusterError, RayPool, run_here
 from learning.sweep.config import SweepConfig
 from learning.sweep.jobs import Job, jobs, outcome
 from learning.sweep.process import LocalPool
+from learning.sweep.worker import do
 from learning.training.run_folder import RunFolder, locked
 
 ROOT = Path(__file__).parents[3]
@@ -61,6 +62,17 @@ def run(*arguments: str) -> int:
     command = parse(Sweep, "dexctl sweep", arguments)
     assert command is not None
     return command.run()
+
+
+def start(file: Path, out: Path) -> subprocess.Popen[bytes]:
+    """`dexctl sweep` in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN, str(file), "--out", str(out), "--jobs", "2"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
 
 
 def wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
@@ -102,13 +114,7 @@ def test_killed_and_started_again(
     (vge / "config.json").write_text("{")
     prepared = SweepConfig.load(file)
     (out / "sweep.json").write_text(json.dumps({"format": 2, **prepared.to_dict()}))
-    sweep = subprocess.Popen(
-        [sys.executable, "-c", RUN, str(file), "--out", str(out), "--jobs", "2"],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+    sweep = start(file, out)
     try:
         wait_for(rl, sweep)
         with pytest.raises(InvalidInput, match="another process is at work in"):
@@ -175,6 +181,40 @@ def test_stopped_in_order_is_no_failure(tmp_path: Path) -> None:
     assert outcome(job.folder).state == "unfinished"
     with locked(job.folder):
         pass
+
+
+def test_a_sweep_that_is_told_to_stop_saves_and_says_how_it_goes_on(
+    file: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run_folder = RunFolder(out / "runs" / "rl-0")
+    file.write_text(TEXT.replace("steps = 800", "steps = 100_000"))
+    sweep = start(file, out)
+    wait_for(run_folder.checkpoint_path, sweep)
+    sweep.terminate()
+    _, said = sweep.communicate(timeout=100)
+    assert sweep.returncode != 0
+    assert f"interrupted: what was begun is saved; `dexctl sweep {out}` goes on" in said.decode()
+    with run_folder.lock():  # nobody is left
+        assert outcome(run_folder.path).state == "unfinished"
+        assert run_folder.read_checkpoint() is not None
+
+
+def test_controllers_are_made_for_the_axis_that_was_trained(tmp_path: Path) -> None:
+    """About x, an object of the size that was trained with; about z, igm turns it elsewhere."""
+    given = {
+        "methods": ["rl"],
+        "train": {"axis": "x", "object_size": 0.07},
+        "evaluation": {"episodes": 2, "seconds": 1, "controllers": ["igm"]},
+    }
+    job = next(jobs(SweepConfig.parse(given), tmp_path))
+    do(job)
+    result = outcome(job.folder).result
+    assert result is not None
+    # 0.5 rad/s for a second, less what the fingers need to get going
+    assert min(result["episodes"]["cube"]["rotation_rad"]) > 0.3
+    assert result["evaluation"]["task"]["axis"] == "x"
+    assert result["evaluation"]["scene"]["object_size"] == 0.07
 
 
 def test_a_task_of_ray_is_the_same_process(tmp_path: Path) -> None:

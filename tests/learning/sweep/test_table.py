@@ -176,6 +176,15 @@ def test_a_row_for_each_run(half_done: Path, tmp_path: Path) -> None:
     assert failed["error"] == "training diverged: not finite"
 
 
+def test_results_of_the_first_format_have_their_table() -> None:
+    """Pages are generated of results that were measured before the evaluation had a scene."""
+    folder = Path(__file__).parents[3] / "benchmarks" / "results" / "learning_table"
+    found = json.loads((folder / "results.json").read_text())
+    assert found["format"] == 1
+    text = f"{markdown_table(found)}\n\n{caption(found)}\n"
+    assert text == (folder / "table.md").read_text()
+
+
 def test_results_of_something_else() -> None:
     with pytest.raises(
         InvalidInput, match="results of 'evaluate' in format None; expected 'sweep'"
