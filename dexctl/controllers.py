@@ -8,18 +8,22 @@ returns the `Controller`. It is loaded when it is made, not before.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from inspect import Parameter, signature
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_state
-from dexctl.exceptions import UnknownName
+from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
+from dexctl.rooms import check_room
 from dexctl.state import Floats, GraspState
 
 
@@ -51,6 +55,15 @@ class ControllerEntry:
     description: str
     module: str
     attribute: str
+
+    def load(self) -> Callable[..., Controller]:
+        """The controller's class, or what another package registered in its place.
+
+        Raises:
+            RoomShadowed: it is of a package of dexctl's that another one shadows.
+        """
+        check_room(self.module)
+        return getattr(import_module(self.module), self.attribute)
 
 
 _CONTROLLERS = {
@@ -97,9 +110,13 @@ _CONTROLLERS = {
 
 GROUP = "dexctl.controllers"
 
+POLICIES = "learned"
+"""The name whose object takes policies: ``object(hand, policy=NAME, FILE or FOLDER)``."""
+_FUNCTION = "module:function"
+
 # words for a name that comes with dexctl, whose object is of another room
 _WORDS = {
-    "learned": ("learned gait", "a policy that was trained with the controllers as its guides")
+    POLICIES: ("learned gait", "a policy that was trained with the controllers as its guides")
 }
 
 
@@ -163,9 +180,10 @@ def make(
     Raises:
         UnknownName: no such controller.
         InvalidInput: a setting out of range.
+        RoomShadowed: another package shadows the one that it is of.
     """
     found = entry(name)
-    kind = getattr(import_module(found.module), found.attribute)
+    kind = found.load()
     if control_period is not None:
         options["control_period"] = control_period
     controller = kind(hand, **options)
@@ -178,6 +196,75 @@ def make(
         if turned is config
         else kind(hand, turned, control_period=controller.control_period)
     )
+
+
+def resolve(
+    name: str,
+    hand: HandModel,
+    *,
+    control_period: float | None = None,
+    axis: tuple[float, float, float] | None = None,
+) -> Controller:
+    """The controller that a word on the command line means.
+
+    Args:
+        name: a controller by name (`names`), a policy by name (``dex5-cylinder``), a policy file
+            (``.npz``), a run folder, or ``module:function``, which is called as
+            ``function(hand, control_period=..., axis=...)``, without what is None; one that takes
+            no axis turns about z.
+        hand: the hand.
+        control_period: time between two calls of ``act`` [s]; None: what the controller's class
+            takes by itself, and a policy what it was trained with.
+        axis: see `make`. A policy turns about the axis that it was trained for.
+
+    Raises:
+        UnknownName: it is none of these.
+        InvalidInput: a damaged or missing file, a policy for another hand or period, or a function
+            that cannot be called so, takes no axis but is given one other than z, or makes
+            something else than a controller.
+        RoomShadowed: it needs a package of dexctl's that another one shadows.
+    """
+    if name in names() and name != POLICIES:
+        return make(name, hand, control_period=control_period, axis=axis)
+    is_path = name.endswith(".npz") or Path(name).expanduser().is_dir()
+    if ":" in name and not is_path:
+        return _called(name, hand, {"control_period": control_period, "axis": axis})
+    if POLICIES not in names():
+        if is_path or name == POLICIES:
+            raise InvalidInput(f"{name}: policies need dexctl to be installed (pip install)")
+        raise UnknownName("controller", name, (*names(), _FUNCTION))
+    policy = None if name == POLICIES else name
+    try:
+        return make(POLICIES, hand, control_period=control_period, policy=policy)
+    except UnknownName as error:
+        if error.kind != "policy":
+            raise
+        raise UnknownName("controller", name, (*names(), *error.known, _FUNCTION)) from None
+
+
+def _called(name: str, hand: HandModel, options: dict[str, Any]) -> Controller:
+    """What ``module:function`` makes."""
+    module, _, attribute = name.partition(":")
+    try:
+        function = getattr(import_module(module), attribute)
+        takes = signature(function)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise InvalidInput(f"controller is {name!r}; it cannot be loaded: {error}") from None
+    given = {key: value for key, value in options.items() if value is not None}
+    kinds = {parameter.kind for parameter in takes.parameters.values()}
+    if "axis" not in takes.parameters and Parameter.VAR_KEYWORD not in kinds:
+        axis = given.pop("axis", None)
+        if axis is not None and tuple(axis) != (0.0, 0.0, 1.0):
+            raise InvalidInput(f"{name} takes no axis, so it turns about z; got {axis}")
+    try:
+        takes.bind(hand, **given)
+    except TypeError as error:
+        with_what = "".join(f", {key}=..." for key in given)
+        raise InvalidInput(f"{name} cannot be called as (hand{with_what}): {error}") from None
+    made = function(hand, **given)
+    if not isinstance(made, Controller):
+        raise InvalidInput(f"{name} made a {type(made).__name__}; expected a dexctl.Controller")
+    return made
 
 
 def _about(config: Any, axis: tuple[float, float, float]) -> Any:

@@ -20,7 +20,7 @@ from dexctl.cli.trials import (
     make_controller,
     run_trials,
 )
-from dexctl.exceptions import SimulationError, UnknownName
+from dexctl.exceptions import RoomShadowed, SimulationError, UnknownName
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -131,7 +131,7 @@ class _Work:
         for name in CONTROLLERS:
             try:
                 yield name, make_controller(name, self.scene)
-            except (SimulationError, UnknownName) as error:
+            except (SimulationError, UnknownName, RoomShadowed) as error:
                 if name != "learned":
                     raise
                 self.console.print(f"nothing learned: {error}", markup=False)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dexctl import controllers
 from dexctl.cli.output import notes, print_json, progress, results, to_json
 from dexctl.cli.parsing import check_count, check_seconds, make_folder
 from dexctl.cli.trials import (
@@ -22,6 +21,7 @@ from dexctl.cli.trials import (
 from dexctl.exceptions import InvalidInput
 
 if TYPE_CHECKING:
+    from dexctl.controller import Controller
     from dexctl.plant import Plant
     from dexctl.report.film import Film
     from dexctl.report.summary import BatchSummary
@@ -38,7 +38,8 @@ class Rotate(SceneOptions):
     """
 
     controller: str = "coordinated"
-    """Name of the controller: igm, switch, gait, coordinated or hold."""
+    """Name of the controller (igm, switch, gait, coordinated, hold), or a policy: learned, its name
+    (dex5-cylinder), its file (.npz), its run folder; or module:function."""
     seconds: float = 10.0
     """Simulated time of each trial [s]."""
     num_envs: int = 64
@@ -77,7 +78,6 @@ class Rotate(SceneOptions):
     def run(self) -> int:
         check_seconds(self.seconds, CONTROL_PERIOD)
         check_count("--num-envs", self.num_envs)
-        controllers.entry(self.controller)
         for name in ("latency", "speed_limit", "torque_limit"):
             value, least = getattr(self, name), 0.0 if name == "latency" else 1e-6
             if value is not None and not least <= value <= 10:
@@ -87,13 +87,14 @@ class Rotate(SceneOptions):
             raise InvalidInput("--video is given without --out; expected a folder for rotate.mp4")
         if self.out is not None:
             check_viz("dexctl rotate --out")
-        folder = None if self.out is None else make_folder(self.out)
         scene = self.build_scene()
+        controller = make_controller(self.controller, scene)
+        folder = None if self.out is None else make_folder(self.out)
         from dexctl.report.film import Film
         from dexctl.report.summary import summarise_batch
 
         film = Film()
-        trace = self._simulate(scene, film)
+        trace = self._simulate(scene, controller, film)
         summary = summarise_batch(trace)
         found = self._as_dict(scene, summary)
         if folder is not None:
@@ -106,11 +107,10 @@ class Rotate(SceneOptions):
             self._draw(folder, scene, trace, film)
         return 0
 
-    def _simulate(self, scene: Scene, film: Film) -> Trace:
+    def _simulate(self, scene: Scene, controller: Controller, film: Film) -> Trace:
         from dexctl.sim import AsReal, BatchSimulator
 
         limits = self.limits
-        controller = make_controller(self.controller, scene)
         console = notes()
         with ExitStack() as stack:
             watch: list[Callable[[Any], None]] = []
@@ -187,10 +187,11 @@ class Rotate(SceneOptions):
         notes().print(f"written: {folder / 'rotate.json'} and {folder / 'report.html'}")
 
     def _draw(self, folder: Path, scene: Scene, trace: Trace, film: Film) -> None:
+        from dexctl.report.style import title_of
         from dexctl.sim.record import Recorder
 
         console, path = notes(), folder / "rotate.mp4"
-        caption = captions(controllers.entry(self.controller).title, trace)
+        caption = captions(title_of(self.controller), trace)
         with (
             Recorder(scene, path, width=640, height=480) as recorder,
             progress(console) as bar,
@@ -203,8 +204,9 @@ class Rotate(SceneOptions):
         from rich.table import Table
 
         from dexctl.report.batch import figures_of_merit
+        from dexctl.report.style import title_of
 
-        title = controllers.entry(self.controller).title
+        title = title_of(self.controller)
         console = results()
         console.print(
             f"[bold]{title}: {self.hand} turns a {self.object}, {self.palm}[/bold]\n"

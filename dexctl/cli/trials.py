@@ -124,16 +124,18 @@ def captions(title: str, trace: Trace, index: int = 0) -> Callable[[int], str]:
 
 
 def make_controller(name: str, scene: Scene) -> Controller:
-    """The controller ``name`` with its default settings.
+    """What `dexctl.controllers.resolve` finds for ``name``, with its default settings.
 
     Raises:
-        UnknownName: no such controller.
-        SimulationError: the hand cannot be driven by it.
+        UnknownName: no such controller or policy.
+        InvalidInput: a damaged policy, or one for another hand.
+        SimulationError: the hand cannot be driven by that controller.
     """
-    controllers.entry(name)
     try:
-        return controllers.make(name, scene.hand, control_period=CONTROL_PERIOD)
+        return controllers.resolve(name, scene.hand, control_period=CONTROL_PERIOD)
     except InvalidInput as error:
+        if name not in controllers.names():
+            raise
         raise SimulationError(f"{name} cannot drive {scene.hand.path.stem}: {error}") from error
 
 
