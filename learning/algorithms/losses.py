@@ -24,16 +24,21 @@ def imitation_weight(value: torch.Tensor, guided: torch.Tensor) -> torch.Tensor:
 
 
 def cloning_weight(
-    kind: str, guide_value: torch.Tensor, policy_value: torch.Tensor, guided: torch.Tensor
+    kind: str, guide_value: torch.Tensor | None, policy_value: torch.Tensor, guided: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor | float]:
     """Weight of each imitated action ``(B, 1)``, and what the actor's own loss is divided by.
 
     Args:
-        kind: of `learning.exploration.GuidanceConfig.cloning_weight`.
-        guide_value, policy_value: Q of the controller's and of the policy's action, ``(B, 1)``.
+        kind: "value": max(Q, 0) as in the thesis; "equal": 1, with the actor's own loss divided
+            by the mean |Q| (Fujimoto and Gu 2021), so that beta means the same however large
+            values are; "better": 1 where the critics prefer the controller's action to the
+            policy's, else 0 (Nair et al. 2018).
+        guide_value, policy_value: Q of the controller's and of the policy's action, ``(B, 1)``;
+            "equal" does not ask for the first.
         guided: 1 where there is a controller's action, ``(B, 1)``.
     """
     if kind == "value":
+        assert guide_value is not None
         return imitation_weight(guide_value, guided), 1.0
     scale = policy_value.abs().mean().clamp(min=1e-3).detach()
     if kind == "better":

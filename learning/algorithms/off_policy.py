@@ -1,0 +1,266 @@
+"""What SAC and TD3 share: a memory, twin critics with targets, an actor and its average."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+
+from dexctl.exceptions import InvalidInput
+from dexctl.validation import check_numbers
+from learning.algorithms.base import (
+    Algorithm,
+    Cloning,
+    Layers,
+    Transitions,
+    check_network,
+    columns,
+    whole,
+)
+from learning.algorithms.losses import cloning_weight
+from learning.algorithms.networks import layers, numbers, restore
+from learning.algorithms.perceptrons import Perceptrons
+from learning.algorithms.replay import Batch, Replay
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicyConfig:
+    """Settings of SAC and TD3. The thesis publishes no sizes, rates and batches: these are ours."""
+
+    gamma: float = 0.99
+    """Discount."""
+    batch_size: int = 512
+    """Transitions of an update."""
+    gradient_steps: int = 2
+    """Updates for each step of all environments together."""
+    learning_rate: float = 3e-4
+    """Of actor and critics."""
+    learning_rate_end: float | None = None
+    """What the learning rate falls to, linearly; None: it stays."""
+    decay_start: float = 0.5
+    """Share of the steps from which on the learning rate falls."""
+    policy_average: float = 0.0
+    """The policy that is kept is the mean of the actor's weights, each update counting this much
+    less than the next (it never acts: from one update to the next a policy may get better or
+    worse, its mean less so); 0: the last ones."""
+    network: tuple[int, ...] = (256, 256)
+    """Hidden layers of actor and critics."""
+    tau: float = 0.005
+    """How far the target critics go towards the critics at each update."""
+    buffer_size: int = 500_000
+    """Transitions that the replay buffer holds; one takes about 0.6 kB."""
+    learning_starts: int = 5_000
+    """Steps before the first update; the policy's part in them is random."""
+    layer_norm: bool = False
+    """Layer normalisation in the critics; the thesis has none."""
+    n_step: int = 1
+    """Steps of the returns that critics are trained with; the thesis has 1."""
+
+    policy_delay: int = 1
+    """Updates of the critics to one of the actor."""
+
+    def __post_init__(self) -> None:
+        for name in ("batch_size", "gradient_steps", "buffer_size", "n_step", "policy_delay"):
+            whole(name, getattr(self, name))
+        whole("learning_starts", self.learning_starts, 0)
+        check_numbers(
+            self,
+            positive=("learning_rate", "tau"),
+            fractions=("gamma", "tau", "decay_start", "policy_average"),
+        )
+        if self.learning_rate_end is not None:
+            check_numbers(self, not_negative=("learning_rate_end",))
+        check_network(self.network)
+        if self.buffer_size < self.batch_size:
+            raise InvalidInput(
+                f"buffer_size is {self.buffer_size}; expected at least one batch of "
+                f"{self.batch_size}"
+            )
+
+    def rate(self, left: float) -> float:
+        """The learning rate where this share of the training is left."""
+        first, last, start = self.learning_rate, self.learning_rate_end, self.decay_start
+        if last is None or start >= 1:
+            return first
+        return first + (last - first) * max(0.0, (1.0 - left - start) / (1.0 - start))
+
+
+class OffPolicy(Algorithm):
+    """An algorithm that learns from a memory of what anybody did.
+
+    Args:
+        config: the settings.
+        groups: columns of an observation that actor ("policy") and critics ("critic") see.
+        observation_size, action_size, num_envs: K, d and N.
+        labels: whether states are labelled with controllers' actions, whoever acts.
+        cloning: how these are imitated where `update` is given a ``beta`` above 0.
+        seed: of weights, exploration and sampling.
+        device: that the updates run on.
+    """
+
+    overlaps: ClassVar[bool] = True
+    name: ClassVar[str]
+    _outputs_per_action: ClassVar[int] = 1
+
+    def __init__(
+        self,
+        config: Any,
+        *,
+        groups: Mapping[str, slice],
+        observation_size: int,
+        action_size: int,
+        num_envs: int,
+        labels: bool = False,
+        cloning: Cloning | None = None,
+        seed: int = 0,
+        device: str = "cpu",
+    ) -> None:
+        super().__init__()
+        self.config, self.cloning, self.device = config, cloning or Cloning(), device
+        self._seen, self._known = columns(groups, observation_size, num_envs, action_size)
+        self.num_envs, self.action_size = num_envs, action_size
+        self._random = torch.Generator(device).manual_seed(seed)
+        self.replay = Replay(
+            config.buffer_size, num_envs=num_envs, observation_size=observation_size,
+            action_size=action_size, labels=labels, n_step=config.n_step, gamma=config.gamma,
+            seed=seed, device=device,
+        )  # fmt: skip
+
+        def width(part: slice) -> int:
+            return len(range(*part.indices(observation_size)))
+
+        kwargs: Any = {"generator": self._random, "device": device}
+        outputs = action_size * self._outputs_per_action
+        self.actor = Perceptrons(1, (width(self._seen), *config.network, outputs), **kwargs)
+        inputs = width(self._known) + action_size
+        self.critic = Perceptrons(
+            2, (inputs, *config.network, 1), layer_norm=config.layer_norm, **kwargs
+        )
+        self.networks = {
+            "actor": self.actor, "critic": self.critic, "critic_target": self.critic.copy(),
+        }  # fmt: skip
+        if config.policy_average > 0:
+            self.networks["averaged_actor"] = self.actor.copy()
+        self.optimizers = {
+            name: torch.optim.Adam(self.networks[name].parameters, config.learning_rate, fused=True)
+            for name in ("actor", "critic")
+        }
+
+    @abstractmethod
+    def _explore(self, observation: torch.Tensor) -> torch.Tensor:
+        """Actions of the policy ``(N, d)`` in [-1, 1], with whatever explores."""
+
+    @abstractmethod
+    def _learn(self, batch: Batch, beta: float) -> dict[str, torch.Tensor]:
+        """One update; what it found, by name."""
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            if self.steps < self.config.learning_starts:
+                shape = (self.num_envs, self.action_size)
+                drawn = torch.rand(shape, generator=self._random, device=self.device)
+                return (2.0 * drawn - 1.0).cpu().numpy()
+            return self._explore(self._tensor(observation)[:, self._seen]).cpu().numpy()
+
+    def observe(self, transitions: Transitions) -> None:
+        self.replay.add(transitions)
+        self.steps += self.num_envs
+
+    def update(self, *, beta: float = 0.0, left: float = 1.0) -> None:
+        if self.steps <= self.config.learning_starts:
+            return
+        for optimizer in self.optimizers.values():
+            optimizer.param_groups[0]["lr"] = self.config.rate(left)
+        found: dict[str, list[torch.Tensor]] = {}
+        for _ in range(self.config.gradient_steps):
+            self.updates += 1
+            for name, value in self._learn(self.replay.sample(self.config.batch_size), beta).items():
+                found.setdefault(name, []).append(value)
+        self.statistics |= {name: float(torch.stack(v).mean()) for name, v in found.items()}
+
+    def values(self, observation: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """The smaller of the critics' values of actions.
+
+        Args:
+            observation: ``(n, K)``.
+            actions: candidates ``(C, n, d)`` in [-1, 1].
+
+        Returns:
+            ``(C, n)``.
+        """
+        count, n, d = actions.shape
+        with torch.no_grad():
+            known = self._tensor(observation)[:, self._known].repeat(count, 1)
+            found = self.critic(known, self._tensor(actions.reshape(count * n, d)))
+            return found.amin(dim=0).reshape(count, n).cpu().numpy()
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(array, np.float32), device=self.device)
+
+    def _noise(self, like: torch.Tensor) -> torch.Tensor:
+        return torch.randn(like.shape, generator=self._random, device=self.device)
+
+    def _learn_critics(self, batch: Batch, next_value: torch.Tensor, weight: float) -> torch.Tensor:
+        """Towards r + discount Q(s', a'), ``next_value`` ``(B, 1)``; the loss."""
+        target = batch.reward + batch.discount * next_value
+        values = self.critic(batch.observation[:, self._known], batch.action)
+        loss = weight * ((values - target) ** 2).mean(dim=(1, 2)).sum()
+        self._step("critic", loss)
+        return loss.detach()
+
+    def _step(self, name: str, loss: torch.Tensor) -> None:
+        self.optimizers[name].zero_grad()
+        loss.backward()
+        self.optimizers[name].step()
+        if name == "actor" and "averaged_actor" in self.networks:
+            average = self.networks["averaged_actor"]
+            average.follow(self.actor, 1.0 - self.config.policy_average)
+
+    def _weigh(
+        self, batch: Batch, policy_value: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor | float]:
+        """See `learning.algorithms.losses.cloning_weight`; ``policy_value`` is ``(B, 1)``."""
+        guide_value = None
+        if self.cloning.weight != "equal":
+            with torch.no_grad():
+                known = batch.observation[:, self._known]
+                guide_value = self.critic(known, batch.guide_action).amin(dim=0)
+        return cloning_weight(
+            self.cloning.weight, guide_value, policy_value.detach(), batch.guided
+        )
+
+    def policy_layers(self) -> Layers:
+        return layers(self.networks.get("averaged_actor", self.actor), self.action_size)
+
+    @property
+    def diverged(self) -> bool:
+        weights = [p for network in self.networks.values() for p in network.parameters]
+        return not all(bool(torch.isfinite(weight).all()) for weight in weights)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            "algorithm": self.name,
+            "steps": self.steps,
+            "updates": self.updates,
+            "statistics": dict(self.statistics),
+            "networks": numbers(self.networks),
+            "optimizers": {name: o.state_dict() for name, o in self.optimizers.items()},
+            "random": self._random.get_state(),
+            "replay": self.replay.state_dict(),
+        }
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        if saved["algorithm"] != self.name:
+            raise InvalidInput(f"the saved algorithm is {saved['algorithm']}; expected {self.name}")
+        restore(self.networks, saved["networks"])
+        self.replay.load_state_dict(saved["replay"])
+        for name, optimizer in self.optimizers.items():
+            optimizer.load_state_dict(deepcopy(saved["optimizers"][name]))
+        self._random.set_state(saved["random"])
+        self.steps, self.updates = int(saved["steps"]), int(saved["updates"])
+        self.statistics = dict(saved["statistics"])
