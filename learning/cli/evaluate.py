@@ -61,8 +61,6 @@ class Evaluate:
         if before is None or bool(before.transfer) == (before.policy is not None):
             return cls()
         hand = before.protocol.scene.hand if "hand" in names else None
-        if before.transfer and "object" in names:  # further ones, beside the policies' own
-            names -= {"object"}
         subjects = [one.subject for one in before._trained(hand)]
         return cls(protocol=as_trained(subjects, names))
 

@@ -3,131 +3,110 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import tyro
 
 from dexctl import controllers
 from dexctl.cli.output import notes, print_json, progress, results, to_json
-from dexctl.cli.parsing import check_count, check_seconds, make_folder, parse_gravity
+from dexctl.cli.parsing import Flag, check_seconds, make_folder
 from dexctl.cli.trials import check_viz
-from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.exceptions import InvalidInput
+from dexctl.settings import NESTED
+from learning.cli.protocols import check_objects, given, said, words
+from learning.evaluation.protocol import Protocol
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from learning.inspection import Inspection, Subject
+    from learning.inspection import Inspection
+
+EPISODES = 16
 
 
 @dataclass(kw_only=True)
 class Inspect:
     """Show how a policy gaits, why it drops, and who acted while it was trained.
 
-    It is rolled out in the protocol of `dexctl evaluate`, with controllers in shadow: asked in
-    every state what they would do. Writes report.html (one file, nothing to load) and inspect.json.
+    It is rolled out as by `dexctl evaluate`, with controllers in shadow: asked in every state what
+    they would do. Writes report.html (one file, nothing to load) and inspect.json. The defaults
+    below are what the policy was trained in, but without noise, late sensors, pushes and given
+    starts, and with the first of its objects.
     """
 
-    subject: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_OR_POLICY")]
-    """A run folder, a policy file (.npz), or the name of a controller in the policy's place."""
-    controller: tuple[str, ...] | None = None
-    """Controllers to compare with; by default those that guided the training."""
-    object: str | None = None
-    """Name of the object; by default the first that it was trained with, or cube."""
-    gravity: str | None = None
-    """Which way the palm looks: up, down, or gravity as x,y,z in m/s^2; by default as trained."""
-    hand: str | None = None
-    """Name of the hand; by default the policy's own, and dex5 for a controller."""
-    episodes: int = 16
-    """How many."""
-    seconds: float = 60.0
-    """Simulated time of each [s]."""
-    seed: int = 0
-    """Seed of the first episode; episode i has seed + i."""
+    subject: Annotated[
+        str | None,
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="RUN_OR_POLICY", help_behavior_hint=""),
+    ] = None
+    """A run folder, a policy by name or file, or the name of a controller in the policy's place."""
+    protocol: Annotated[Protocol, NESTED] = Protocol(episodes=EPISODES)
+    controller: tuple[str, ...] = ()
+    """Controllers to compare with; none: those that guided the training."""
     out: Path = Path("out/inspect")
     """Folder for report.html and inspect.json."""
-    json: bool = False
+    json: Flag = False
     """Print one JSON object instead of the summary."""
 
-    def run(self) -> int:
-        check_count("--episodes", self.episodes)
-        if self.seed < 0:
-            raise InvalidInput(f"--seed is {self.seed}; expected a whole number from 0 on")
-        for name in self.controller or ():
-            controllers.entry(name)
-        check_viz("dexctl inspect")
-        from dexctl.sim import object_names
-        from learning.evaluate import Protocol
-        from learning.inspection import inspect, open_subject
+    @classmethod
+    def defaults(cls, argv: Sequence[str]) -> Self:
+        """The settings that the policy was trained in."""
+        before = said(cls, argv)
+        if before is None or before.subject is None:
+            return cls()
+        hand = before.protocol.scene.hand if "hand" in given(argv) else None
+        return cls(protocol=_usual(before.subject, hand))
 
-        if self.object is not None and self.object not in object_names():
-            raise UnknownName("object", self.object, object_names())
-        subject = open_subject(self.subject, self.hand)
-        check_seconds(self.seconds, subject.controller.control_period)
-        name, gravity = self._object(subject), self._gravity(subject)
-        protocol = Protocol(
-            episodes=self.episodes,
-            seconds=self.seconds,
-            seed=self.seed,
-            gravity=parse_gravity(gravity) if isinstance(gravity, str) else gravity,
-        )
+    def run(self) -> int:
+        check_viz("dexctl inspect")
+        from learning.evaluation import open_subject
+        from learning.evaluation.rollout import one_object
+        from learning.inspection import inspect
+
+        if self.subject is None:
+            raise InvalidInput("expected a run folder, a policy, or the name of a controller")
+        protocol = self.protocol
+        check_seconds(protocol.seconds, protocol.scene.control_period)
+        check_objects([one_object(protocol)])
+        subject = open_subject(self.subject, hand=protocol.scene.hand)
+        for name in self.controller:
+            controllers.resolve(name, subject.controller.hand)
         folder = make_folder(self.out)
         with _Bar() as bar:
-            for remark in self._remarks(subject, name):
+            found = inspect(subject, protocol, self.controller, progress=bar.show)
+            for remark in found.remarks:
                 bar.remark(remark)
-            found = inspect(subject, name, protocol, self.controller, progress=bar.show)
-            result = self._write(folder, found, gravity)
+        result = self._write(folder, found)
         if self.json:
             print_json(result)
         else:
             self._print(found, folder)
         return 0
 
-    def _object(self, subject: Subject) -> str:
-        return self.object or next(iter(subject.objects), "cube")
-
-    def _gravity(self, subject: Subject) -> str | tuple[float, ...]:
-        if self.gravity is not None:
-            return self.gravity
-        trained = subject.trained.get("env", {}).get("gravity", "up")
-        return trained if isinstance(trained, str) else tuple(trained)
-
-    def _remarks(self, subject: Subject, name: str) -> list[str]:
-        remarks = list(subject.remarks)
-        if subject.objects and name not in subject.objects:
-            remarks.append(
-                f"The policy was trained with {', '.join(subject.objects)}, not with {name}."
-            )
-        return remarks
-
-    def _write(
-        self, folder: Path, found: Inspection, gravity: str | tuple[float, ...]
-    ) -> dict[str, Any]:
+    def _write(self, folder: Path, found: Inspection) -> dict[str, Any]:
         from dexctl.files import write_text
         from dexctl.report.machine import machine
         from learning.inspection.report import build
 
-        scene = found.rollouts.scene
-        palm = f"palm {gravity}" if gravity in ("up", "down") else f"gravity {gravity}"
+        scene, protocol = found.rollouts.scene, self.protocol
         setting = {
-            "palm": palm,
-            "hand": scene.hand.path.stem,
-            "object": found.rollouts.evaluation.object,
+            "palm": protocol.scene.palm,
+            "hand": protocol.scene.hand,
+            "object": scene.object,
             "gravity_m_s2": scene.gravity.tolist(),
             "object_width_m": scene.object_width,
             "object_mass_kg": scene.object_mass,
             "friction": found.grasps.friction,
-            "seed": self.seed,
+            "seed": protocol.seed,
         }
         told = machine()
         report, figures = folder / "report.html", folder / "inspect.json"
         result = {
             "command": "inspect",
             "setting": setting,
-            "episodes_count": self.episodes,
-            "seconds": self.seconds,
-            "control_period_s": found.period,
             **found.to_dict(),
             "files": {"report": str(report), "figures": str(figures)},
             "machine": told,
@@ -139,14 +118,13 @@ class Inspect:
 
     def _command_line(self) -> str:
         """What to type to get the same again."""
-        words = ["dexctl", "inspect", self.subject]
-        for option in fields(self):
-            value = getattr(self, option.name)
-            if option.default is MISSING or value == option.default or option.name == "json":
-                continue
-            values = value if isinstance(value, tuple) else (value,)
-            words += [f"--{option.name}", *map(str, values)]
-        return shlex.join(words)
+        assert self.subject is not None
+        usual = _usual(self.subject, self.protocol.scene.hand)
+        shadows = ["--controller", *self.controller] if self.controller else []
+        asked = words(self.protocol, usual)
+        return shlex.join(
+            ["dexctl", "inspect", self.subject, *asked, *shadows, "--out", str(self.out)]
+        )
 
     def _print(self, found: Inspection, folder: Path) -> None:
         from learning.inspection.report.story import story
@@ -165,6 +143,14 @@ class Inspect:
         for line in story(found):
             console.print(line, soft_wrap=True)
         notes().print(f"written: {folder / 'report.html'} and {folder / 'inspect.json'}")
+
+
+def _usual(name: str, hand: str | None) -> Protocol:
+    """The protocol where nothing is said."""
+    from learning.evaluation import open_subject
+
+    subject = open_subject(name, hand=hand)
+    return subject.protocol(episodes=EPISODES, object=subject.objects[:1] or ("cube",))
 
 
 class _Bar:

@@ -184,4 +184,6 @@ def _trained(name: str, policy: Policy) -> TrainConfig | None:
     try:
         return from_plain(TrainConfig, said, "trained")
     except (InvalidInput, UnknownName) as error:
-        raise InvalidInput(f"the card of policy {name!r} is of another version: {error}") from None
+        # of the many names that are known, none is what the card's writer meant
+        what = f"unknown {error.kind} {error.name!r}" if isinstance(error, UnknownName) else error
+        raise InvalidInput(f"the card of policy {name!r} is of another version: {what}") from None
