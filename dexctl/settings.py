@@ -13,7 +13,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 import tyro
@@ -29,7 +39,15 @@ NESTED = tyro.conf.arg(name="")
 
 def _read_vector(words: list[str]) -> str | tuple[float, ...]:
     parts = words[0].split(",")
-    return words[0] if len(parts) == 1 else tuple(float(part) for part in parts)
+    if len(parts) == 1:
+        return words[0]
+    try:
+        numbers = tuple(float(part) for part in parts)
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        raise ValueError(f"{words[0]!r} is neither a name nor three finite numbers x,y,z")
+    return numbers
 
 
 def _show_vector(value: str | tuple[float, ...]) -> list[str]:
@@ -191,9 +209,11 @@ def _fit(kind: Any, value: Any, where: str) -> tuple[bool, Any]:
     if kind is type(None):
         return value is None, None
     if origin is Literal:
-        return any(value is one or (type(value) is type(one) and value == one) for one in inner), value
+        return any(
+            value is one or (type(value) is type(one) and value == one) for one in inner
+        ), value
     if is_dataclass(kind):
-        if isinstance(value, kind):
+        if isinstance(value, cast(type, kind)):
             return True, value
         if not isinstance(value, Mapping):
             return False, value

@@ -109,9 +109,7 @@ def _fast() -> TrainConfig:
     base = TrainConfig()
     return replace(
         base,
-        env=replace(
-            base.env, scaled=True, critic_parts=("object_position", "object_quaternion")
-        ),
+        env=replace(base.env, scaled=True, critic_parts=("object_position", "object_quaternion")),
         guidance=replace(
             base.guidance,
             cloned="visited",

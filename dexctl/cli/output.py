@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
 
 def notes() -> Console:
@@ -19,6 +21,22 @@ def notes() -> Console:
 def results() -> Console:
     """Where tables go."""
     return Console(highlight=False)
+
+
+def facts(rows: Iterable[tuple[str, str]]) -> Table:
+    """A table of what, and its value."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
+    for row in rows:
+        table.add_row(*map(escape, row))
+    return table
+
+
+def columns(headings: Sequence[str], *, left: Container[str] = ()) -> Table:
+    """A table without rows yet; numbers, flush right, but for the columns named in ``left``."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for heading in headings:
+        table.add_column(escape(heading), justify="left" if heading in left else "right")
+    return table
 
 
 def print_json(result: Mapping[str, Any]) -> None:

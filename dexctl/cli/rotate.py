@@ -66,13 +66,13 @@ class Rotate(SceneOptions):
     @property
     def limits(self) -> dict[str, Any]:
         """What `dexctl.sim.AsReal` is given; {} for the bare simulator."""
-        from dexctl.sim.as_real import LATENCY, SPEED, TORQUE
+        from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE
 
         given = {"latency": self.latency, "speed": self.speed_limit, "torque": self.torque_limit}
         if not self.as_real:
             nothing = all(value is None for value in given.values())
             return {} if nothing else {**given, "latency": self.latency or 0.0}
-        usual = {"latency": LATENCY, "speed": SPEED, "torque": TORQUE}
+        usual = {"latency": REAL_LATENCY, "speed": REAL_SPEED, "torque": REAL_TORQUE}
         return {name: usual[name] if given[name] is None else given[name] for name in usual}
 
     def run(self) -> int:

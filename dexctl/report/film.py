@@ -36,7 +36,7 @@ class Moment:
 
 @dataclass
 class Film:
-    """Give it to `dexctl.sim.run` as ``record``; keeps environment ``env``.
+    """Give it to `dexctl.sim.run` as an observer; keeps environment ``env``.
 
     Simulating ten seconds takes less than one, drawing them a quarter of a minute: so trials run
     first, and the drawing is done afterwards, of as much as is wanted.

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
+
+GRAVITY = {"up": (0.0, 0.0, -9.81), "down": (0.0, 0.0, 9.81)}
 
 
 def count(name: str, value: object) -> int:
@@ -32,6 +34,15 @@ def vector(name: str, value: ArrayLike | None, length: int) -> Floats:
     return numbers
 
 
+def gravity_vector(gravity: str | ArrayLike) -> Floats:
+    """``(3,)`` [m/s^2] from "up", "down" (which way the palm looks) or a vector."""
+    if isinstance(gravity, str):
+        if gravity not in GRAVITY:
+            raise UnknownName("gravity", gravity, [*GRAVITY, "a vector (x, y, z) in m/s^2"])
+        return np.array(GRAVITY[gravity])
+    return vector("gravity", gravity, 3)
+
+
 def rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
     """Finite numbers of the shape given."""
     numbers = np.asarray(value, float)
@@ -41,6 +52,14 @@ def rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
         where = np.argwhere(~np.isfinite(numbers))[0].tolist()
         raise InvalidInput(f"{name} is {numbers[tuple(where)]} at {where}; expected finite numbers")
     return numbers
+
+
+def unit(name: str, vectors: Floats) -> Floats:
+    """``(N, k)`` made exactly of length 1; they have to be so to 0.1 % already."""
+    norm = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if (np.abs(norm - 1) > 1e-3).any():
+        raise InvalidInput(f"{name} has norms {norm.ravel()[:4]}...; expected 1")
+    return vectors / norm
 
 
 def mask(value: ArrayLike | None, shape: tuple[int, ...]) -> Bools:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -46,6 +47,9 @@ class GraspStates:
         for name in ("object", "joint_names"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), np.str_))
         object.__setattr__(self, "hand", str(self.hand))
+        for name in ("object", "joint_names"):
+            if getattr(self, name).ndim != 1:
+                raise InvalidInput(f"GraspStates.{name} is {getattr(self, name)}; expected a list")
         count, d = len(self.object), len(self.joint_names)
         if not count:
             raise InvalidInput("GraspStates has no states; expected at least one")
@@ -55,7 +59,10 @@ class GraspStates:
             ("object_position", 3),
             ("object_quaternion", 4),
         ):
-            value = np.asarray(getattr(self, name), float)
+            try:
+                value = np.asarray(getattr(self, name), float)
+            except (TypeError, ValueError):
+                raise InvalidInput(f"GraspStates.{name} has no numbers; expected them") from None
             if value.shape != (count, width):
                 raise InvalidInput(
                     f"GraspStates.{name} has shape {value.shape}; expected {(count, width)}"
@@ -94,18 +101,19 @@ class GraspStates:
             InvalidInput: no such file, or not one of these.
         """
         names = [field.name for field in fields(cls)]
+        what = f"grasp states {str(path)!r}"
         try:
             with np.load(path, allow_pickle=False) as stored:
                 missing = [name for name in names if name not in stored]
                 values = {name: stored[name] for name in names if name in stored}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise InvalidInput(f"grasp states {str(path)!r} cannot be read: {error}") from None
+        except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise InvalidInput(f"{what} cannot be read: {error}") from None
         if missing:
-            raise InvalidInput(
-                f"grasp states {str(path)!r} lacks {', '.join(missing)}; expected "
-                f"{', '.join(names)}"
-            )
-        return cls(**values)
+            raise InvalidInput(f"{what} lacks {', '.join(missing)}; expected {', '.join(names)}")
+        try:
+            return cls(**values)
+        except InvalidInput as error:
+            raise InvalidInput(f"{what}: {error}") from None
 
 
 class StateSampler:
@@ -123,8 +131,8 @@ class StateSampler:
     def __init__(self, states: GraspStates, hand: HandModel, objects: tuple[str, ...]) -> None:
         if tuple(states.joint_names) != tuple(hand.joint_names):
             raise InvalidInput(
-                f"the grasp states are of a hand with joints {', '.join(states.joint_names)}; "
-                f"expected {', '.join(hand.joint_names)}"
+                f"the grasp states are of the hand {states.hand!r}, whose "
+                f"{len(states.joint_names)} joints are not the {hand.nq} of {hand.path.stem!r}"
             )
         known = sorted(set(states.object.tolist()))
         missing = sorted(set(objects) - set(known))

@@ -23,7 +23,8 @@ class GroupedSimulator:
 
     Args:
         groups: (scene, number of environments) pairs; the scenes have the same hand.
-        control_period, substeps, threads, touch_threshold, disturbance, seed: as `BatchSimulator`'s.
+        control_period, substeps, threads, touch_threshold, disturbance, seed: as
+            `BatchSimulator`'s.
 
     Attributes:
         groups: the `BatchSimulator` of each group.
@@ -108,6 +109,14 @@ class GroupedSimulator:
         for group, rows in zip(self.groups, self.slices, strict=True):
             group.set_grasp(*(value[rows] for value in grasp), mask=chosen[rows])
 
+    def place_object(
+        self, position: ArrayLike, quaternion: ArrayLike, mask: ArrayLike | None = None
+    ) -> None:
+        """See `BatchSimulator.place_object`."""
+        chosen, pose = self._mask(mask), [self._rows(value) for value in (position, quaternion)]
+        for group, rows in zip(self.groups, self.slices, strict=True):
+            group.place_object(*(value[rows] for value in pose), mask=chosen[rows])
+
     def read(self) -> GraspState:
         """See `BatchSimulator.read`."""
         states = [group.read() for group in self.groups]
@@ -184,6 +193,11 @@ class GroupedSimulator:
     def start_position(self) -> Floats:
         """The object's centre after the last reset, ``(N, 3)`` [m]."""
         return self._gather(lambda group: group.start_position)
+
+    @property
+    def friction(self) -> Floats:
+        """Sliding friction coefficient between object and fingertips, ``(N,)``."""
+        return self._gather(lambda group: group.friction)
 
     @property
     def qpos(self) -> Floats:

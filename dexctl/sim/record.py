@@ -19,7 +19,7 @@ from dexctl.state import Bools, Floats
 
 
 class Recorder:
-    """Films one environment; give it to `run` as ``record``.
+    """Films one environment; give it to `run` as an observer.
 
     The video is written beside its place and moved there when it is closed, so that an
     interrupted run leaves a complete (shorter) file. Where the simulator is reset, or another one

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl import hands
-from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
+from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.hand import HandModel
 from dexctl.sim import checks
 from dexctl.sim.objects import MESH, add_object
@@ -21,7 +21,6 @@ from dexctl.state import Floats
 if TYPE_CHECKING:
     from dexctl.sim.settle import SettledGrasp
 
-GRAVITY = {"up": (0.0, 0.0, -9.81), "down": (0.0, 0.0, 9.81)}
 TIMESTEP = 0.005
 
 
@@ -139,7 +138,7 @@ class Scene:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10
-        spec.option.gravity = gravity_vector(gravity)
+        spec.option.gravity = checks.gravity_vector(gravity)
         others = _touchable_bodies(spec, model)
         body = spec.worldbody.add_body(name="object", pos=centre)
         body.add_freejoint(name="object")
@@ -159,7 +158,7 @@ class Scene:
             object=object,
             object_mass=mass,
             object_width=width,
-            gravity=gravity_vector(gravity),
+            gravity=checks.gravity_vector(gravity),
             grasp_centre=centre,
             open_q=opened,
             grip=checks.positive("grip", grip),
@@ -220,15 +219,6 @@ class Scene:
 
     def __repr__(self) -> str:
         return f"Scene({self.hand.path.stem!r}, {self.object!r}, gravity={self.gravity.tolist()})"
-
-
-def gravity_vector(gravity: str | ArrayLike) -> Floats:
-    """``(3,)`` [m/s^2] from "up", "down" (which way the palm looks) or a vector."""
-    if isinstance(gravity, str):
-        if gravity not in GRAVITY:
-            raise UnknownName("gravity", gravity, [*GRAVITY, "a vector (x, y, z) in m/s^2"])
-        return np.array(GRAVITY[gravity])
-    return checks.vector("gravity", gravity, 3)
 
 
 def _compile(spec: mujoco.MjSpec, hand: HandModel) -> mujoco.MjModel:

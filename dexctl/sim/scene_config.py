@@ -6,7 +6,7 @@ configuration; `dexctl.sim.Simulation` is where its settings take effect.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +15,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from dexctl.limits import HandLimits
 from dexctl.settings import NESTED, Vector
+from dexctl.sim.checks import gravity_vector
 from dexctl.sim.pushes import Push
 from dexctl.sim.sensing import Sensing
 from dexctl.validation import check_numbers, check_whole
@@ -55,9 +56,9 @@ class SceneConfig:
     """File of grasp states that episodes start from; none: the settled grasp."""
     disturbance: float = 0.02
     """Of the set-points at the start, standard deviation [rad]."""
-    sensing: Annotated[Sensing, NESTED] = Sensing()
-    push: Annotated[Push, NESTED] = Push()
-    limits: Annotated[HandLimits, NESTED] = HandLimits()
+    sensing: Annotated[Sensing, NESTED] = field(default_factory=Sensing)
+    push: Annotated[Push, NESTED] = field(default_factory=Push)
+    limits: Annotated[HandLimits, NESTED] = field(default_factory=HandLimits)
     threads: int | None = None
     """Of the physics; none: every core."""
 
@@ -67,6 +68,7 @@ class SceneConfig:
         hands.entry(self.hand)
         if not self.object:
             raise InvalidInput("object is (); expected a name, or several")
+        gravity_vector(self.gravity)
         check_numbers(
             self,
             positive=("object_mass", "control_period"),

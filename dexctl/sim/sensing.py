@@ -31,7 +31,7 @@ class Sensing:
     normal_noise: float = 0.0
     """Standard deviation of the tilt of contact normals about each of two axes [rad]."""
     force_noise: float = 0.0
-    """Standard deviation of normal forces [N]; a finger that then reads too little does not touch."""
+    """Standard deviation of normal forces [N]; what then reads too little is no touch."""
     force_noise_share: float = 0.0
     """Standard deviation of normal forces, as a share of the force."""
     touch_threshold: float = 0.05
@@ -84,7 +84,9 @@ class Sensor:
         if not self._steps:
             return seen
         now = {name: getattr(seen, name) for name in _SENSED if getattr(seen, name) is not None}
-        now = {name: np.broadcast_to(v, (len(state.q), *np.shape(v)[1:])) for name, v in now.items()}
+        now = {
+            name: np.broadcast_to(v, (len(state.q), *np.shape(v)[1:])) for name, v in now.items()
+        }
         if not self._past:
             self._past = [now] * (self._steps + 1)
         elif begin is None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.hand import HandModel
 from dexctl.sim.grasp_states import GraspStates, StateSampler
 from dexctl.sim.grouped import GroupedSimulator
@@ -107,8 +107,7 @@ class Simulation:
             mask: which, ``(N,)`` bool; None is all.
         """
         chosen = np.ones(self.num_envs, bool) if mask is None else mask
-        if self._unseen is None:  # the step that has passed is sensed first
-            self.read()
+        self.read()  # the step that has passed is sensed first
         if seed is None:
             self.sim.reset(None, chosen)
         else:
@@ -133,6 +132,7 @@ class Simulation:
 
     def step(self) -> None:
         """Let one control period pass."""
+        self.read()  # what nobody has asked for is sensed all the same, for the latency's sake
         if self.config.push:
             self.sim.push(self._pusher(self._steps))
         self._plant.step()
@@ -162,6 +162,12 @@ class Simulation:
         Raises:
             SimulationError: it was saved by another number or kind of environments.
         """
+        limited = isinstance(self._plant, LimitedHand)
+        if limited != (saved["limits"] is not None):
+            raise SimulationError(
+                "the saved state is of a hand with other limits: "
+                f"{'without' if limited else 'with'} them"
+            )
         self.sim.restore(saved["simulator"])
         if isinstance(self._plant, LimitedHand):
             self._plant.restore(saved["limits"])

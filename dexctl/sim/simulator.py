@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.rotations import inverse, multiply, rotation_vector
 from dexctl.sim import checks
-from dexctl.sim.parameters import ParameterSet
+from dexctl.sim.parameters import ParameterSet, fingertip_friction
 from dexctl.sim.physics_state import INPUT, PhysicsLayout, SimulatorState
 from dexctl.sim.scene import Scene
 from dexctl.sim.tactile import TouchReading, TouchSensors
@@ -173,17 +173,28 @@ class BatchSimulator:
         chosen, count, d = self._mask(mask), self._count, self.hand.nq
         qpos = np.tile(self.scene.settled.qpos, (count, 1))
         qpos[:, self.scene.qpos_columns] = self._rows("q", q, d)
-        quaternion = self._rows("object_quaternion", object_quaternion, 4)
-        norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
-        if (np.abs(norm - 1) > 1e-3).any():
-            raise InvalidInput(f"object_quaternion has norms {norm.ravel()[:4]}...; expected 1")
-        qpos[:, self.scene.object_qpos] = np.concatenate(
-            [self._rows("object_position", object_position, 3), quaternion / norm], axis=1
-        )
+        qpos[:, self.scene.object_qpos] = self._poses(object_position, object_quaternion)
         physics = self._layout.state(qpos)
         target = self._rows("q_target", q_target, d)
         sensordata = self._probe(physics, self._clip(target))
         self._place(chosen, physics[chosen], target[chosen], sensordata[chosen])
+
+    def place_object(
+        self, position: ArrayLike, quaternion: ArrayLike, mask: ArrayLike | None = None
+    ) -> None:
+        """Put objects somewhere at rest; hands, time and what was felt stay as they are.
+
+        Args:
+            position, quaternion, mask: as those of the object in `set_grasp`.
+        """
+        chosen, poses = self._mask(mask), self._poses(position, quaternion)
+        self._physics[chosen, self._layout.pose] = poses[chosen]
+        self._physics[chosen, self._layout.object_velocity] = 0.0
+        self._angular_velocity[chosen] = 0.0
+
+    def _poses(self, position: ArrayLike, quaternion: ArrayLike) -> Floats:
+        unit = checks.unit("object_quaternion", self._rows("object_quaternion", quaternion, 4))
+        return np.hstack([self._rows("object_position", position, 3), unit])
 
     def _probe(self, physics: Floats, q_target: Floats) -> Floats:
         """Contact readings ``(N, columns)`` in the states given: one physics step, thrown away."""
@@ -288,6 +299,12 @@ class BatchSimulator:
     def parameters(self) -> dict[str, Floats]:
         """What `set_parameters` was given, ``(N,)`` each."""
         return self._parameters.values
+
+    @property
+    def friction(self) -> Floats:
+        """Sliding friction coefficient between object and fingertips, ``(...)``."""
+        models = self._parameters.models
+        return self._out(np.array([fingertip_friction(self.scene, model) for model in models]))
 
     def save(self) -> SimulatorState:
         """All that decides the future, to be given to :meth:`restore`.

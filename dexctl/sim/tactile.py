@@ -81,7 +81,8 @@ class TouchSensors:
         self._n_fingers = n_fingers
         self._start = first
         self._middle = first + n_fingers * _SLOTS * _WIDTH
-        self._end = self._middle + 3 * len(others)
+        self._others = len(others)
+        self._end = self._middle + 3 * self._others
 
     @property
     def columns(self) -> slice:
@@ -106,6 +107,6 @@ class TouchSensors:
         normal = weighted[..., 3:]
         length = np.sqrt(np.einsum("nfk,nfk->nf", normal, normal))
         normal = normal / np.where(length > 1e-9, length, 1.0)[..., None]
-        other = data[:, count:].reshape(len(data), -1, 3)
+        other = data[:, count:].reshape(len(data), self._others, 3)
         other_force = np.sqrt(np.einsum("nbk,nbk->nb", other, other)).sum(-1)
         return TouchReading(touch, weighted[..., :3], normal, force * touch, other_force)

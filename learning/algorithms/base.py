@@ -173,9 +173,3 @@ def whole(name: str, value: object, least: int = 1) -> None:
     """Raise InvalidInput where ``value`` is not a whole number from ``least`` on."""
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise InvalidInput(f"{name} is {value!r}; expected a whole number from {least} on")
-
-
-def check_network(widths: object) -> None:
-    """Raise InvalidInput where these are not widths of hidden layers."""
-    if not isinstance(widths, tuple) or not widths or any(not isinstance(n, int) or n < 1 for n in widths):
-        raise InvalidInput(f"network is {widths}; expected layer widths of at least 1")

@@ -66,6 +66,18 @@ class OffPolicyConfig:
         if self.learning_rate_end is not None:
             check_numbers(self, not_negative=("learning_rate_end",))
         check_network(self.network)
+        if self.buffer_size < self.batch_size:
+            raise InvalidInput(
+                f"buffer_size is {self.buffer_size}; expected at least one batch of "
+                f"{self.batch_size}"
+            )
+
+    def rate(self, left: float) -> float:
+        """The learning rate where this share of the training is left."""
+        first, last, start = self.learning_rate, self.learning_rate_end, self.decay_start
+        if last is None or start >= 1:
+            return first
+        return first + (last - first) * max(0.0, (1.0 - left - start) / (1.0 - start))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +108,7 @@ class TD3Config(OffPolicyConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_numbers(
-            self, not_negative=("exploration_noise", "target_noise", "target_noise_clip")
-        )
+        check_numbers(self, not_negative=("exploration_noise", "target_noise", "target_noise_clip"))
 
 
 @dataclass(frozen=True, kw_only=True)

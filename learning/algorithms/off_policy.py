@@ -5,89 +5,23 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 
 from dexctl.exceptions import InvalidInput
-from dexctl.validation import check_numbers
 from learning.algorithms.base import (
     Algorithm,
     Cloning,
     Layers,
     Transitions,
-    check_network,
     columns,
-    whole,
 )
 from learning.algorithms.losses import cloning_weight
 from learning.algorithms.networks import layers, numbers, restore
 from learning.algorithms.perceptrons import Perceptrons
 from learning.algorithms.replay import Batch, Replay
-
-
-@dataclass(frozen=True, kw_only=True)
-class OffPolicyConfig:
-    """Settings of SAC and TD3. The thesis publishes no sizes, rates and batches: these are ours."""
-
-    gamma: float = 0.99
-    """Discount."""
-    batch_size: int = 512
-    """Transitions of an update."""
-    gradient_steps: int = 2
-    """Updates for each step of all environments together."""
-    learning_rate: float = 3e-4
-    """Of actor and critics."""
-    learning_rate_end: float | None = None
-    """What the learning rate falls to, linearly; None: it stays."""
-    decay_start: float = 0.5
-    """Share of the steps from which on the learning rate falls."""
-    policy_average: float = 0.0
-    """The policy that is kept is the mean of the actor's weights, each update counting this much
-    less than the next (it never acts: from one update to the next a policy may get better or
-    worse, its mean less so); 0: the last ones."""
-    network: tuple[int, ...] = (256, 256)
-    """Hidden layers of actor and critics."""
-    tau: float = 0.005
-    """How far the target critics go towards the critics at each update."""
-    buffer_size: int = 500_000
-    """Transitions that the replay buffer holds; one takes about 0.6 kB."""
-    learning_starts: int = 5_000
-    """Steps before the first update; the policy's part in them is random."""
-    layer_norm: bool = False
-    """Layer normalisation in the critics; the thesis has none."""
-    n_step: int = 1
-    """Steps of the returns that critics are trained with; the thesis has 1."""
-
-    policy_delay: int = 1
-    """Updates of the critics to one of the actor."""
-
-    def __post_init__(self) -> None:
-        for name in ("batch_size", "gradient_steps", "buffer_size", "n_step", "policy_delay"):
-            whole(name, getattr(self, name))
-        whole("learning_starts", self.learning_starts, 0)
-        check_numbers(
-            self,
-            positive=("learning_rate", "tau"),
-            fractions=("gamma", "tau", "decay_start", "policy_average"),
-        )
-        if self.learning_rate_end is not None:
-            check_numbers(self, not_negative=("learning_rate_end",))
-        check_network(self.network)
-        if self.buffer_size < self.batch_size:
-            raise InvalidInput(
-                f"buffer_size is {self.buffer_size}; expected at least one batch of "
-                f"{self.batch_size}"
-            )
-
-    def rate(self, left: float) -> float:
-        """The learning rate where this share of the training is left."""
-        first, last, start = self.learning_rate, self.learning_rate_end, self.decay_start
-        if last is None or start >= 1:
-            return first
-        return first + (last - first) * max(0.0, (1.0 - left - start) / (1.0 - start))
 
 
 class OffPolicy(Algorithm):

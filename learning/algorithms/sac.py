@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 
-from dexctl.validation import check_numbers
+from learning.algorithms.config import SACConfig
 from learning.algorithms.losses import likelihood_cloning, squared_cloning
 from learning.algorithms.networks import gaussian, squashed_sample
-from learning.algorithms.off_policy import OffPolicy, OffPolicyConfig
+from learning.algorithms.off_policy import OffPolicy
 from learning.algorithms.replay import Batch
-
-
-@dataclass(frozen=True, kw_only=True)
-class SACConfig(OffPolicyConfig):
-    """Settings of SAC."""
-
-    entropy_coefficient: float = 0.0
-    """What the policy's entropy is worth, fixed; the thesis has 0."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_numbers(self, not_negative=("entropy_coefficient",))
 
 
 class SAC(OffPolicy):

@@ -2,34 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 
-from dexctl.validation import check_numbers
+from learning.algorithms.config import TD3Config
 from learning.algorithms.losses import squared_cloning
-from learning.algorithms.off_policy import OffPolicy, OffPolicyConfig
+from learning.algorithms.off_policy import OffPolicy
 from learning.algorithms.replay import Batch
-
-
-@dataclass(frozen=True, kw_only=True)
-class TD3Config(OffPolicyConfig):
-    """Settings of TD3."""
-
-    policy_delay: int = 2
-    """Updates of the critics to one of the actor and of the targets."""
-    exploration_noise: float = 0.1
-    """Standard deviation of what is added to the policy's actions, in units of [-1, 1]."""
-    target_noise: float = 0.2
-    """Standard deviation of what is added to the target policy's actions."""
-    target_noise_clip: float = 0.5
-    """The most that is added to the target policy's actions."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        noises = ("exploration_noise", "target_noise", "target_noise_clip")
-        check_numbers(self, not_negative=noises)
 
 
 class TD3(OffPolicy):

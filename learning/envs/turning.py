@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dexctl.rotations import inverse, multiply, rotate, rotation_vector, unit_axis
+from dexctl.rotations import inverse, multiply, rotate, rotation_vector
 from dexctl.settings import Vector
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import check_numbers, check_whole
+from dexctl.validation import check_numbers, check_whole, unit_axis
 from learning.envs.observation import Part
 from learning.envs.task import Judgement, Step, Task
 
@@ -46,8 +46,7 @@ class TurningConfig:
     @property
     def direction(self) -> tuple[float, float, float]:
         """``axis`` as a unit vector."""
-        x, y, z = unit_axis(self.axis).tolist()
-        return x, y, z
+        return unit_axis(self.axis)
 
     @property
     def parts(self) -> Mapping[str, Part]:
@@ -154,7 +153,7 @@ class Turning(Task):
             reward=reward(motion, self.config),
             dropped=(away > self.config.drop_distance) & ~step.diverged,
             succeeded=np.zeros(len(away), bool),  # it can always be turned further
-            info={**motion._asdict(), "rotation": self.rotation},
+            info={**motion._asdict(), "rotation": self.rotation.copy()},
         )
 
     def save(self) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dexctl import hands
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
@@ -64,6 +65,7 @@ def learned(
     *,
     control_period: float | None = None,
     policy: str | Path | None = None,
+    axis: ArrayLike | None = None,
 ) -> Policy:
     """The controller of the name "learned": a policy that was trained on ``hand``.
 
@@ -72,6 +74,7 @@ def learned(
         control_period: must be the one that the policy was trained with [s]; None takes it.
         policy: what `load` takes; None is the first of `names` that was trained on a hand of this
             name, one for several objects before those for single ones.
+        axis: whichever; a policy turns about the axis that it was trained with.
 
     Raises:
         UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.

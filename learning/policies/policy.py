@@ -73,12 +73,12 @@ class PolicySpec(NamedTuple):
         hand: HandModel,
         observation: Observation,
         action: SetPointAction,
-        config: EnvConfig,
+        name: str,
         activation: str = "relu",
     ) -> PolicySpec:
-        """The specification of a policy that is trained in environments of ``config``."""
+        """The specification of a policy that is trained with the hand of this name."""
         return cls(
-            config.scene.hand,
+            name,
             tuple(hand.joint_names),
             tuple(hand.fingertip_names),
             observation.to_dict(),
@@ -146,6 +146,12 @@ class Policy(Controller):
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Nothing to forget: the policy has no memory."""
+
+    def state_dict(self) -> dict[str, Any]:
+        return {}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Nothing to continue from."""
 
     def predict(self, observation: ArrayLike) -> Floats:
         """The action ``(..., d)`` in [-1, 1] for observations ``(..., k)``."""

@@ -59,7 +59,7 @@ def do(job: Job) -> None:
 
 def _train(job: Job) -> tuple[Controller, dict[str, Any]]:
     """Train, or go on training; the policy and what is known of it."""
-    from learning.policies import load_policy
+    from learning.policies import load as load_policy
     from learning.settings import TrainConfig
     from learning.train import read_config, resume, train
 

@@ -6,7 +6,10 @@ import torch
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
-from learning.algorithms import PPO, SAC, TD3, Algorithm, Cloning
+from learning.algorithms.base import Algorithm, Cloning
+
+from learning.algorithms.sac import SAC
+from learning.algorithms.td3 import TD3
 from learning.config import TrainConfig
 from learning.envs.vector import ManipulationVectorEnv, make_vector
 from learning.exploration.guide import Guide
@@ -21,8 +24,7 @@ def build_guide(config: TrainConfig, env: ManipulationVectorEnv) -> Guide:
     """Who acts in them."""
     period, axis = env.simulation.control_period, config.env.task.direction
     made = [
-        controllers.make(name, env.hand, control_period=period, axis=axis)
-        for name in config.guides
+        controllers.make(name, env.hand, control_period=period, axis=axis) for name in config.guides
     ]
     return Guide(env, made, config.guidance, config.seed)
 
@@ -41,6 +43,8 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
     }
     own = {"seed": config.seed, "device": device(config.device)}
     if config.algorithm == "ppo":
+        from learning.algorithms.ppo import PPO
+
         return PPO(config.ppo, **sizes, **own)
     guidance = config.guidance
     own |= {

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from dexctl.settings import to_plain
-from learning.algorithms import Algorithm
+from learning.algorithms.base import Algorithm
 from learning.config import TrainConfig
 from learning.envs.vector import ManipulationVectorEnv
 from learning.policies import PolicySpec, save

@@ -85,7 +85,6 @@ class RunFolder:
             InvalidInput: there is none, or it is wrong.
         """
         from dexctl.settings import from_plain
-
         from learning.config import TrainConfig
 
         return from_plain(TrainConfig, self.config_values(), str(self.config_path))
@@ -184,9 +183,14 @@ class RunFolder:
             raise InvalidInput(f"cannot make the folder {self.path}: {error.strerror}") from None
 
 
+_HERE: set[Path] = set()  # folders that this process holds
+
+
 @contextmanager
 def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
     """Hold any ``folder`` in this block; the system takes the lock back when its holder is gone.
+
+    What this process holds already it may hold once more: a sweep's worker, and the training in it.
 
     Args:
         folder: where the lock is.
@@ -195,6 +199,10 @@ def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
     Raises:
         InvalidInput: another process holds it.
     """
+    place = folder.resolve()
+    if place in _HERE:
+        yield
+        return
     deadline = time.monotonic() + wait
     with (folder / _LOCK).open("a") as file:
         while True:
@@ -205,7 +213,11 @@ def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
                 if time.monotonic() >= deadline:
                     raise InvalidInput(f"another process is at work in {folder}") from None
             time.sleep(0.1)
-        yield
+        _HERE.add(place)
+        try:
+            yield
+        finally:
+            _HERE.discard(place)
 
 
 def _alive(process: int) -> bool:

@@ -15,7 +15,7 @@ import torch
 
 from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.settings import difference, to_plain
-from learning.algorithms import Transitions
+from learning.algorithms.base import Transitions
 from learning.config import TrainConfig
 from learning.exploration import POLICY
 from learning.training.build import build_algorithm, build_env, build_guide
@@ -29,11 +29,12 @@ Report = Callable[[int, Mapping[str, float]], None]
 Remark = Callable[[str], None]
 
 # what may differ between a checkpoint's configuration and the run's: it fits all the same
-_MAY_CHANGE = frozenset(
-    "steps log_every checkpoint_every overlap device torch_threads threads learning_rate "
-    "learning_rate_end decay_start gradient_steps batch_size tau policy_average policy_delay "
-    "gamma exploration_noise hard_stop beta beta_end beta_stop temperature fixed_start".split()
-)
+_MAY_CHANGE = (
+    "steps", "log_every", "checkpoint_every", "overlap", "device", "torch_threads", "threads",
+    "learning_rate", "learning_rate_end", "decay_start", "gradient_steps", "batch_size", "gamma",
+    "tau", "policy_average", "policy_delay", "exploration_noise", "hard_stop", "beta", "beta_end",
+    "beta_stop", "temperature", "fixed_start",
+)  # fmt: skip
 
 
 class TrainingDiverged(DexctlError, RuntimeError):
@@ -314,7 +315,14 @@ class Trainer:
             self.tally.sums, self.row = dict(run["tally"]), dict(run["row"])
             self._next_log, self._next_checkpoint = run["next_log"], run["next_checkpoint"]
             self._seconds, self._since = run["seconds"], time.monotonic()
-        except (DexctlError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (
+            DexctlError,
+            RuntimeError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+        ) as error:
             reason = " ".join(str(error).split())[:200]
             raise CheckpointError(f"{where} does not fit this configuration: {reason}") from error
 

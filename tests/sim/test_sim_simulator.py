@@ -11,10 +11,9 @@ import pytest
 from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
 from dexctl.plant import Plant
 from dexctl.rotations import inverse, multiply, rotation_vector
-from dexctl.sim import BatchSimulator, GroupedSimulator, Scene, Tactile
+from dexctl.sim import BatchSimulator, GroupedSimulator, Scene
+from dexctl.sim.physics_state import PhysicsLayout
 from dexctl.state import GraspState
-
-NOISY = Tactile(position_noise=1e-3, normal_noise=0.02, force_noise=0.1, latency=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +35,8 @@ def assert_same(a: GraspState, b: GraspState) -> None:
 
 
 def test_each_of_a_batch_is_a_single_hand_with_its_seed(cube: Scene) -> None:
-    batch = BatchSimulator(cube, 3, seed=7, tactile=NOISY)
-    singles = [BatchSimulator(cube, None, seed=7 + i, tactile=NOISY, threads=1) for i in range(3)]
+    batch = BatchSimulator(cube, 3, seed=7)
+    singles = [BatchSimulator(cube, None, seed=7 + i, threads=1) for i in range(3)]
     assert isinstance(batch, Plant)
     assert singles[0].read().batch_shape == ()
     assert singles[0].time.shape == singles[0].other_contact.shape == ()
@@ -74,14 +73,14 @@ def test_the_grasp_holds_and_state_is_consistent(cube: Scene) -> None:
 
 
 def test_restore_replays_bit_for_bit(cube: Scene) -> None:
-    sim = BatchSimulator(cube, 4, seed=3, tactile=NOISY)
+    sim = BatchSimulator(cube, 4, seed=3)
     drive(sim, 3)
     saved = sim.save()
     drive(sim, 6, 3)
     sim.reset(mask=np.array([True, False, False, True]))  # draws random numbers
     drive(sim, 3, 9)
     first, velocity = sim.read(), sim.object_angular_velocity
-    other = BatchSimulator(cube, 4, seed=99, tactile=NOISY, threads=1)
+    other = BatchSimulator(cube, 4, seed=99, threads=1)
     other.set_parameters(friction=0.3)
     for again in (sim, other):
         again.restore(saved)
@@ -91,7 +90,7 @@ def test_restore_replays_bit_for_bit(cube: Scene) -> None:
         assert_same(again.read(), first)
         np.testing.assert_array_equal(again.object_angular_velocity, velocity)
     with pytest.raises(SimulationError, match=r"\(4, .*this simulator has \(2, "):
-        BatchSimulator(cube, 2, tactile=NOISY).restore(saved)
+        BatchSimulator(cube, 2).restore(saved)
 
 
 def test_reset_of_some_leaves_the_others(cube: Scene) -> None:
@@ -120,33 +119,6 @@ def test_write_returns_what_is_sent(cube: Scene) -> None:
         sim.write(bad)
 
 
-def test_latency_delays_touch_only(cube: Scene) -> None:
-    now = BatchSimulator(cube, 2, seed=1)
-    for steps in (1, 3):
-        now.reset(seed=1)
-        late = BatchSimulator(cube, 2, seed=1, tactile=Tactile(latency=0.05 * steps))
-        readings = [now.read()]
-        for k in range(6):
-            drive(now, 1, k)
-            drive(late, 1, k)
-            readings.append(now.read())
-        np.testing.assert_array_equal(late.read().contact_force, readings[-1 - steps].contact_force)
-        np.testing.assert_array_equal(late.read().q, readings[-1].q)
-        np.testing.assert_allclose(late.read().age, 0.005 + 0.05 * steps)
-
-
-def test_noise_has_the_size_asked_for(cube: Scene) -> None:
-    truth = BatchSimulator(cube, 400, disturbance=0.0).read()
-    noisy = Tactile(position_noise=2e-3, normal_noise=0.05, force_noise=0.2)
-    felt = BatchSimulator(cube, 400, disturbance=0.0, tactile=noisy).read()
-    assert np.std(felt.contact_position - truth.contact_position) == pytest.approx(2e-3, rel=0.05)
-    assert np.std(felt.contact_force - truth.contact_force) == pytest.approx(0.2, rel=0.05)
-    cosine = np.einsum("nmk,nmk->nm", felt.contact_normal, truth.contact_normal)
-    tilt = np.arccos(np.minimum(cosine, 1.0))
-    # two axes, each of standard deviation 0.05
-    assert np.sqrt(np.mean(tilt**2)) == pytest.approx(0.05 * np.sqrt(2), rel=0.05)
-
-
 def test_an_object_on_the_palm_is_other_contact_and_weighs_what_it_should() -> None:
     scene = Scene.build("dex5", "sphere", "up", object_mass=0.2, object_size=0.06)
     sim = BatchSimulator(scene, 2)
@@ -163,6 +135,35 @@ def test_an_object_on_the_palm_is_other_contact_and_weighs_what_it_should() -> N
         sim.set_grasp(wide_open, wide_open, lying, 2 * upright)
 
 
+def test_an_object_is_placed_at_rest_and_nothing_else_changes(cube: Scene) -> None:
+    """Of two groups of two, the first of each is placed; the other goes on as if nothing was."""
+    groups = [(cube, 2), (cube, 2)]
+    sim, witness = (GroupedSimulator(groups, threads=1, seed=3) for _ in range(2))
+    drive(sim, 3)
+    drive(witness, 3)
+    placed = np.array([True, False, True, False])
+    before = sim.read()
+    assert before.object_position is not None
+    position = before.object_position + np.array([0.0, 0.0, 0.3])
+    turned = np.tile([0.5, 0.5, 0.5, 0.5], (4, 1))
+    sim.place_object(position, turned, placed)
+    after = sim.read()
+    for name in set(before.__dataclass_fields__) - {"object_position", "object_quaternion"}:
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name), err_msg=name)
+    np.testing.assert_array_equal(after.object_position[placed], position[placed])  # type: ignore[index]
+    np.testing.assert_array_equal(after.object_quaternion[placed], turned[placed])  # type: ignore[index]
+    assert not sim.object_angular_velocity[placed].any()
+    drive(sim, 1, 3)
+    drive(witness, 1, 3)
+    now, other = sim.read(), witness.read()
+    assert_same(now[~placed], other[~placed])
+    # ten steps of 5 ms from rest: g h^2 (1 + 2 + ... + 10)
+    fallen = position[placed] - now.object_position[placed]  # type: ignore[index]
+    np.testing.assert_allclose(fallen, np.tile([0.0, 0.0, 9.81 * 0.005**2 * 55], (2, 1)), atol=1e-6)
+    with pytest.raises(InvalidInput, match="object_quaternion has norms"):
+        sim.place_object(position, 2 * turned)
+
+
 def test_parameters_of_each_environment(cube: Scene) -> None:
     sim = BatchSimulator(cube, 3, seed=0)
     plain = BatchSimulator(cube, 3, seed=0)
@@ -177,6 +178,8 @@ def test_parameters_of_each_environment(cube: Scene) -> None:
     assert usual is not None
     assert height[1, 2] < usual[1, 2] - 0.03  # it slips out
     assert height[2, 2] < usual[2, 2] - 1e-4  # it hangs lower
+    np.testing.assert_allclose(sim.friction, [1.0, 0.01, 1.0])
+    np.testing.assert_allclose(plain.friction, 1.0)
     sim.restore(saved)
     assert sim.parameters == {}
     with pytest.raises(UnknownName, match="unknown parameter 'colour'; known: friction"):
@@ -213,6 +216,36 @@ def test_divergence_is_seen_and_stays_where_it_is(
     assert not sim.diverged.any()
 
 
+def test_an_object_that_falls_for_long_has_not_broken_down(cube: Scene) -> None:
+    """100 m in 4.5 s, at 44 m/s."""
+    sim = BatchSimulator(cube, 1, threads=1)
+    state = sim.read()
+    assert state.object_position is not None
+    assert state.object_quaternion is not None
+    beside = state.object_position + np.array([1.0, 0.0, 0.0])
+    sim.set_grasp(state.q, state.q_target, beside, state.object_quaternion)
+    for _ in range(90):
+        sim.step()
+    fallen = sim.read().object_position
+    assert fallen is not None
+    assert fallen[0, 2] - beside[0, 2] == pytest.approx(-0.5 * 9.81 * 4.5**2, rel=0.01)
+    assert not sim.diverged.any()
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("position", np.nan), ("qvel", np.inf), ("qvel", 1e6), ("time", 0.0)],
+)
+def test_what_is_no_simulation_any_more(cube: Scene, column: str, value: float) -> None:
+    """NaN, speeds that nothing has, and time that fell back: MuJoCo resets itself silently."""
+    layout, expected = PhysicsLayout(cube), np.full(2, 0.5)
+    after = np.tile(layout.state(cube.settled.qpos), (2, 1))
+    after[:, 0] = expected
+    where = {"position": layout.position, "qvel": layout.qvel, "time": slice(0, 1)}[column]
+    after[1, where] = value
+    np.testing.assert_array_equal(layout.broken(after, expected, 0.005, 9.81), [False, True])
+
+
 def test_groups_are_their_simulators_side_by_side(cube: Scene) -> None:
     sphere = Scene.build("dex5", "sphere", "up")
     both = GroupedSimulator([(cube, 2), (sphere, 3)], seed=10)
@@ -244,12 +277,11 @@ def test_bad_numbers_and_a_closed_simulator(cube: Scene) -> None:
         ("threads", 0),
         ("control_period", np.nan),
         ("disturbance", -0.1),
+        ("touch_threshold", -1.0),
     ]
     for name, value in wrong:
         with pytest.raises(InvalidInput, match=f"{name} is {value}"):
             BatchSimulator(cube, **{name: value})
-    with pytest.raises(InvalidInput, match="Tactile.latency is -1"):
-        Tactile(latency=-1)
     with BatchSimulator(cube, 2) as sim:
         sim.step()
     with pytest.raises(SimulationError, match="closed"):

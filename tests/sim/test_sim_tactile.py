@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from dexctl.sim import Scene
-from dexctl.sim.tactile import Tactile, TouchSensors, blur
-from dexctl.streams import Streams
+from dexctl.sim.tactile import TouchSensors
 
 
 @pytest.mark.parametrize("name", ["cube", "sphere", "dodecahedron", "l_shape"])
@@ -57,15 +56,3 @@ def test_threshold_silences_weak_fingers() -> None:
     assert not weak.force[gone].any()
     assert not weak.position[gone].any()
     assert not weak.normal[gone].any()
-
-
-def test_blur_keeps_normals_unit_and_silence_silent() -> None:
-    scene = Scene.build("dex5", "cube", "up")
-    sensors = TouchSensors(scene.model, 5)
-    data = scene.settled.sensordata[None, sensors.columns].repeat(2, axis=0)
-    data[1] = 0.0
-    tactile = Tactile(normal_noise=0.1, position_noise=0.01, force_noise=0.01)
-    reading = blur(sensors.read(data, 0.05), tactile, Streams(0, (2,)))
-    np.testing.assert_allclose(np.linalg.norm(reading.normal[0], axis=-1), 1.0, atol=1e-12)
-    for part in reading[:4]:
-        assert not part[1].any()

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from dexctl.controller import Controller
-from dexctl.exceptions import InvalidInput
-from dexctl.sim import BatchSimulator, Scene, run
-from dexctl.sim.trial import rotation_about, rotation_about_z
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.rotations import unit_axis
+from dexctl.sim import BatchSimulator, Scene, SceneConfig, Sensing, Simulation, run
+from dexctl.sim.trial import rotation_about
 from dexctl.state import Floats, GraspState
 
 
@@ -31,17 +32,17 @@ def about(axis: int, angle: float) -> np.ndarray:
 
 def test_rotation_unwraps_and_ignores_tilt() -> None:
     turning = np.array([about(2, 0.5 * k) for k in range(40)])
-    np.testing.assert_allclose(rotation_about_z(turning), 0.5 * np.arange(40), atol=1e-9)
-    np.testing.assert_allclose(rotation_about_z(-turning), 0.5 * np.arange(40), atol=1e-9)
+    np.testing.assert_allclose(rotation_about(turning), 0.5 * np.arange(40), atol=1e-9)
+    np.testing.assert_allclose(rotation_about(-turning), 0.5 * np.arange(40), atol=1e-9)
     tilting = np.array([about(0, 0.1 * k) for k in range(10)])
-    np.testing.assert_allclose(rotation_about_z(tilting), 0.0, atol=1e-12)
+    np.testing.assert_allclose(rotation_about(tilting), 0.0, atol=1e-12)
 
 
 def test_rotation_stands_still_after_the_drop() -> None:
     quaternion = np.array([about(2, -0.3 * k) for k in range(6)])[:, None].repeat(2, axis=1)
     held = np.ones((6, 2), bool)
     held[3:, 1] = False
-    angle = rotation_about_z(quaternion, held)
+    angle = rotation_about(quaternion, held=held)
     np.testing.assert_allclose(angle[:, 0], -0.3 * np.arange(6), atol=1e-9)
     np.testing.assert_allclose(angle[:, 1], [0, -0.3, -0.6, -0.6, -0.6, -0.6], atol=1e-9)
 
@@ -51,7 +52,7 @@ def test_a_held_object(count: int | None) -> None:
     scene = Scene.build("dex5", "cube")
     sim, controller = BatchSimulator(scene, count), Hold(scene.hand)
     seen: list[float] = []
-    trace = run(controller, sim, 1.0, record=lambda s: seen.append(float(np.max(s.time))))
+    trace = run(controller, sim, 1.0, observers=[lambda s: seen.append(float(np.max(s.time)))])
     batch = () if count is None else (count,)
     np.testing.assert_allclose(trace.time, 0.05 * np.arange(21))
     np.testing.assert_allclose(seen, trace.time)
@@ -98,3 +99,64 @@ def test_rotation_about_another_axis() -> None:
     np.testing.assert_allclose(rotation_about(turning, (1.0, 0.0, 0.0)), 2 * half, atol=1e-9)
     np.testing.assert_allclose(rotation_about(turning, (-1.0, 0.0, 0.0)), -2 * half, atol=1e-9)
     np.testing.assert_allclose(rotation_about(turning[:10]), 0.0, atol=1e-12)
+
+
+class Spin:
+    """A plant that turns its object about x, 0.08 rad in each step."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.hand, self.control_period = scene.hand, 0.05
+        self.batch_shape, self.diverged, self.other_contact = (), np.array(False), np.array(0.0)
+        self.steps = 0
+
+    def read(self) -> GraspState:
+        vectors = np.zeros((5, 3))
+        return GraspState(
+            q=np.zeros(15), q_target=np.zeros(15), in_contact=np.ones(5, bool),
+            contact_force=np.ones(5), contact_position=vectors, contact_normal=vectors,
+            object_position=np.zeros(3), object_quaternion=about(0, 0.08 * self.steps),
+        )  # fmt: skip
+
+    def write(self, q_target: Floats) -> Floats:
+        return q_target
+
+    def step(self) -> None:
+        self.steps += 1
+
+
+@pytest.mark.parametrize(
+    ("axis", "turned"),
+    [("x", 1.6), ("-x", -1.6), ("-z", 0.0), ((2.0, 0.0, 0.0), 1.6)],
+)
+def test_a_trace_counts_about_the_axis_of_its_run(axis, turned: float) -> None:
+    """1.6 rad about x; that is nothing about z."""
+    scene = Scene.build("dex5", "cube")
+    trace = run(Hold(scene.hand), Spin(scene), 1.0, axis=axis)  # type: ignore[arg-type]
+    assert trace.final_rotation == pytest.approx(turned, abs=1e-9)
+    np.testing.assert_allclose(trace.axis, unit_axis(axis))
+
+
+def test_the_trace_is_the_truth_of_a_simulation_that_senses_badly() -> None:
+    config = SceneConfig(
+        object=("cylinder",), sensing=Sensing(joint_noise=0.1, sensor_latency=0.1), threads=1
+    )
+    seen: list[GraspState] = []
+
+    class Looking(Hold):
+        def act(self, state: GraspState) -> Floats:
+            seen.append(state)
+            return super().act(state)
+
+    with Simulation(config, 2) as sim:
+        trace = run(Looking(sim.hand), sim, 0.2)
+    assert np.abs(seen[0].q - trace.q[0]).max() > 0.05
+    np.testing.assert_array_equal(seen[2].q_target, trace.q_target[2])
+    assert trace.held.all()
+    assert np.abs(np.diff(trace.q, axis=0)).max() < 0.05
+
+
+@pytest.mark.parametrize("axis", ["w", "zz"])
+def test_an_axis_that_is_none(axis: str) -> None:
+    scene = Scene.build("dex5", "cube")
+    with pytest.raises(UnknownName, match=f"unknown axis '{axis}'; known: x, y, z, -x"):
+        run(Hold(scene.hand), Spin(scene), 1.0, axis=axis)  # type: ignore[arg-type]

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import dexctl
 from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.streams import Streams
+from dexctl.settings import changed, from_plain, to_plain
 from learning.envs import (
     DEFAULT_PARTS,
     PARTS,
     EnvConfig,
-    FingerGaitingEnv,
-    InitialStates,
+    ManipulationEnv,
     Observation,
     SetPointAction,
     make_vector,
 )
-from learning.envs.noise import SensorNoise, observed
-from learning.envs.simulation import shares
+
+
+def env_config(**settings: Any) -> EnvConfig:
+    return from_plain(EnvConfig, settings)
 
 
 @pytest.fixture(scope="module")
@@ -92,11 +93,11 @@ def test_scaled_observations_by_hand(dex5: dexctl.HandModel, state: dexctl.Grasp
 
 def test_observations_stay_in_their_space() -> None:
     for scaled in (False, True):
-        config = EnvConfig(
-            object="cylinder", parts=tuple(PARTS), scaled=scaled, normal_noise=0.5, force_noise=0.5,
+        config = env_config(
+            object="cylinder", parts=tuple(PARTS), scaled=scaled, normal_noise=0.5, force_noise_share=0.5,
             threads=1,
         )  # fmt: skip
-        env = FingerGaitingEnv(config, seed=0)
+        env = ManipulationEnv(config, seed=0)
         observation, _ = env.reset(seed=0)
         env.action_space.seed(0)
         for _ in range(20):
@@ -104,26 +105,12 @@ def test_observations_stay_in_their_space() -> None:
             observation, *_ = env.step(env.action_space.sample())
 
 
-def test_noise_has_the_size_asked_for(state: dexctl.GraspState) -> None:
-    count = 4000
-    many = state[np.zeros(count, int)]
-    noise = SensorNoise(joint=0.1, position=0.01, normal=0.02, force=0.2)
-    seen = observed(many, noise, Streams(0, (count,)))
-    assert (seen.q - many.q).std() == pytest.approx(0.1, rel=0.03)
-    np.testing.assert_array_equal(seen.q_target, many.q_target)
-    offset = (seen.contact_position - many.contact_position)[:, :4]
-    assert offset.std() == pytest.approx(0.01, rel=0.03)
-    assert (seen.contact_force[:, :4] / 2.0).std() == pytest.approx(0.2, rel=0.03)
-    np.testing.assert_allclose(np.linalg.norm(seen.contact_normal[:, :4], axis=-1), 1.0)
-    assert seen.contact_normal[:, :4, 0].std() == pytest.approx(0.02, rel=0.03)
-    for array in (seen.contact_position, seen.contact_normal, seen.contact_force):
-        np.testing.assert_array_equal(array[:, 4], 0.0)
-    assert observed(many, SensorNoise(), Streams(0, (count,))) is many
-
-
 def test_controllers_see_the_truth() -> None:
-    config = EnvConfig(object="cylinder", threads=1)
-    plain, noisy = make_vector(config, 2, seed=0), make_vector(replace(config, joint_noise=0.1), 2)
+    config = env_config(object="cylinder", threads=1)
+    plain, noisy = (
+        make_vector(config, 2, seed=0),
+        make_vector(changed(config, {"joint_noise": 0.1}), 2),
+    )
     a, _ = plain.reset(seed=0)
     b, _ = noisy.reset(seed=0)
     np.testing.assert_array_equal(plain.state.q, noisy.state.q)
@@ -142,56 +129,10 @@ def test_actions_and_changes(dex5: dexctl.HandModel, state: dexctl.GraspState) -
     assert (reached <= np.minimum(far.q + 0.25, dex5.upper) + 1e-12).all()
 
 
-def test_initial_states_are_those_of_the_file(tmp_path: Path) -> None:
-    envs = make_vector(EnvConfig(object=("cylinder", "sphere"), threads=1), 2, seed=0)
-    settled = envs.state
-    assert settled.object_position is not None
-    assert settled.object_quaternion is not None
-    turn = np.array([[np.cos(0.2), 0.0, 0.0, np.sin(0.2)]])
-    states = InitialStates(
-        q=settled.q[[0, 0, 1]],
-        q_target=settled.q_target[[0, 0, 1]],
-        object_position=settled.object_position[[0, 0, 1]],
-        object_quaternion=np.concatenate([settled.object_quaternion[:1], turn, turn]),
-        object=np.array(["cylinder", "cylinder", "sphere"]),
-        joint_names=np.array(envs.hand.joint_names),
-    )
-    path = tmp_path / "states.npz"
-    states.save(path)
-    config = EnvConfig(object=("cylinder", "sphere"), initial_states=path, threads=1)
-    drawn = make_vector(config, 24, seed=0)
-    quaternion = drawn.state.object_quaternion
-    assert quaternion is not None
-    np.testing.assert_allclose(quaternion[12:], np.tile(turn, (12, 1)))
-    turned = np.isclose(quaternion[:12, 3], turn[0, 3])
-    assert 0 < turned.sum() < 12
-    np.testing.assert_allclose(drawn.state.q[:12], np.tile(settled.q[0], (12, 1)))
-    assert drawn.state.in_contact.all()
-    spread = (drawn.state.q_target[:12] - settled.q_target[0]).std()
-    assert spread == pytest.approx(0.02, rel=0.3)
-    _, _, _, _, info = drawn.step(np.zeros((24, 15)))
-    assert (np.abs(info["rotation"]) < 0.1).all()
-
-    with pytest.raises(InvalidInput, match="none of the object 'cube'; they are of cylinder"):
-        make_vector(EnvConfig(object="cube", initial_states=path), 1)
-    names = np.array(["a", *envs.hand.joint_names[1:]])
-    replace(states, joint_names=names).save(path)
-    with pytest.raises(InvalidInput, match="states are of a hand with joints a, "):
-        make_vector(config, 2)
-    with pytest.raises(InvalidInput, match="'nowhere.npz' cannot be read"):
-        make_vector(EnvConfig(initial_states="nowhere.npz"), 1)
-    with pytest.raises(InvalidInput, match=r"object_quaternion has norm 2; expected 1"):
-        replace(states, object_quaternion=2 * states.object_quaternion)
-    np.savez(path, q=states.q)
-    with pytest.raises(InvalidInput, match="lacks q_target, object_position"):
-        InitialStates.load(path)
-
-
 def test_configurations_go_through_json() -> None:
-    config = EnvConfig(object=("cube", "sphere"), axis=(0, 0, -2), gravity=(0, 0, 9.81))
-    assert EnvConfig(**json.loads(json.dumps(config.to_dict()))) == config
-    assert config.direction == (0.0, 0.0, -1.0)
-    assert config.max_change == pytest.approx(0.1)
+    config = env_config(object=("cube", "sphere"), axis=(0, 0, -2), gravity=(0, 0, 9.81))
+    assert from_plain(EnvConfig, json.loads(json.dumps(to_plain(config)))) == config
+    assert config.task.direction == (0.0, 0.0, -1.0)
 
 
 @pytest.mark.parametrize(
@@ -210,24 +151,19 @@ def test_configurations_go_through_json() -> None:
 )
 def test_bad_settings(options: dict, message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
-        EnvConfig(**options)
+        env_config(**options)
 
 
 def test_unknown_names() -> None:
     with pytest.raises(UnknownName, match="unknown observation part 'smell'; known: q, q_target"):
-        EnvConfig(parts=("q", "smell"))
+        env_config(parts=("q", "smell"))
     with pytest.raises(UnknownName, match="unknown axis 'up'; known: x, y, z"):
-        EnvConfig(axis="up")
+        env_config(axis="up")
     with pytest.raises(UnknownName, match="unknown gravity 'sideways'"):
-        make_vector(EnvConfig(gravity="sideways"), 1)
+        make_vector(env_config(gravity="sideways"), 1)
 
 
 def test_a_pose_that_is_not_tracked(dex5: dexctl.HandModel, state: dexctl.GraspState) -> None:
     blind = replace(state, object_position=None)
     with pytest.raises(InvalidInput, match="'object_position' needs the object's pose"):
         Observation(dex5, ("q", "object_position"))(blind)
-
-
-def test_shares_are_even() -> None:
-    assert shares(7, 3) == [3, 2, 2]
-    assert shares(5, 5) == [1] * 5

@@ -10,8 +10,9 @@ import pytest
 import dexctl
 import dexctl.controllers
 from dexctl.exceptions import InvalidInput
+from dexctl.limits import HandLimits
 from dexctl.plant import Plant
-from dexctl.sim import AsReal, BatchSimulator, Scene, run
+from dexctl.sim import BatchSimulator, LimitedHand, Scene, run
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +27,12 @@ def sim(scene: Scene) -> Iterator[BatchSimulator]:
 
 
 def test_it_is_a_plant(sim: BatchSimulator) -> None:
-    assert isinstance(AsReal(sim), Plant)
+    assert isinstance(LimitedHand(sim, HandLimits.real()), Plant)
 
 
 def test_set_points_come_slowly_and_late(sim: BatchSimulator) -> None:
     """0.6 rad/s at 20 Hz are 0.03 rad a step; 0.1 s are two steps."""
-    real = AsReal(sim, latency=0.1)
+    real = LimitedHand(sim, HandLimits(speed_limit=0.6, action_latency=0.1))
     start = sim.read().q_target
     for k in range(1, 5):
         wanted = start.copy()
@@ -46,8 +47,7 @@ def test_set_points_come_slowly_and_late(sim: BatchSimulator) -> None:
 
 def test_latency_between_control_periods_mixes_the_set_points_about_it(sim: BatchSimulator) -> None:
     """0.075 s are one and a half periods: a ramp comes by just that much later."""
-    real = AsReal(sim, latency=0.075)
-    assert real.latency == 0.075
+    real = LimitedHand(sim, HandLimits(speed_limit=0.6, action_latency=0.075))
     start = sim.read().q_target
     for k in range(1, 6):
         wanted = start.copy()
@@ -59,7 +59,7 @@ def test_latency_between_control_periods_mixes_the_set_points_about_it(sim: Batc
 
 
 def test_limits_may_be_left_out(sim: BatchSimulator, scene: Scene) -> None:
-    real = AsReal(sim, speed=None, torque=None, latency=0.0, stiffness=scene.stiffness)
+    real = LimitedHand(sim, HandLimits(), scene.stiffness)
     state = sim.read()
     assert real.write(state.q_target - 0.3) == pytest.approx(scene.hand.clip(state.q_target - 0.3))
 
@@ -68,7 +68,7 @@ def test_a_trial_of_a_controller_that_sees_the_limits(sim: BatchSimulator) -> No
     controller = dexctl.controllers.make("igm", sim.hand)
     sim.reset(0)
     controller.reset(0)
-    trace = run(controller, sim, 1.0, plant=AsReal(sim, speed=0.1))
+    trace = run(controller, sim, 1.0, plant=LimitedHand(sim, HandLimits(speed_limit=0.1)))
     speed = np.abs(np.diff(trace.q_target, axis=0)) / sim.control_period
     assert speed.max() == pytest.approx(0.1)  # it asks for 0.15 rad/s here
     assert trace.held.all()
@@ -76,7 +76,7 @@ def test_a_trial_of_a_controller_that_sees_the_limits(sim: BatchSimulator) -> No
 
 
 def test_torque_bounds_the_lead(sim: BatchSimulator, scene: Scene) -> None:
-    real = AsReal(sim, speed=1000.0, latency=0.0, torque=0.1, stiffness=scene.stiffness)
+    real = LimitedHand(sim, HandLimits(torque_limit=0.1), scene.stiffness)
     state = sim.read()
     sent = real.write(state.q + 0.2)
     # kp is 3 N m/rad: 0.1 N m is a lead of 1/30 rad
@@ -89,7 +89,7 @@ def test_without_limits_it_changes_nothing(scene: Scene) -> None:
         BatchSimulator(scene, 2, threads=1, seed=4) as bare,
         BatchSimulator(scene, 2, threads=1, seed=4) as behind,
     ):
-        real = AsReal(behind, speed=1e6, latency=0.0)
+        real = LimitedHand(behind, HandLimits(speed_limit=1e6))
         for i in range(5):
             goal = bare.read().q_target + 0.01 * np.sin(i + np.arange(15))
             bare.write(goal)
@@ -100,7 +100,7 @@ def test_without_limits_it_changes_nothing(scene: Scene) -> None:
 
 
 def test_restart_forgets_what_is_on_its_way(sim: BatchSimulator) -> None:
-    real = AsReal(sim)
+    real = LimitedHand(sim, HandLimits.real())
     real.write(sim.read().q_target + 0.03)
     real.step()
     sim.reset(0)
@@ -110,22 +110,59 @@ def test_restart_forgets_what_is_on_its_way(sim: BatchSimulator) -> None:
     assert (sim.read().q_target == before).all()
 
 
+def test_the_hand_of_the_thesis() -> None:
+    assert HandLimits.real() == HandLimits(speed_limit=0.6, torque_limit=0.5, action_latency=0.05)
+    assert HandLimits.real() and not HandLimits()
+
+
+def test_what_is_on_its_way_is_saved(sim: BatchSimulator) -> None:
+    real = LimitedHand(sim, HandLimits(speed_limit=0.6, action_latency=0.075))
+    for k in range(3):
+        real.write(sim.read().q_target + 0.01 * k)
+        real.step()
+    saved, below = real.save(), sim.save()
+    ends = []
+    for _ in range(2):
+        sim.restore(below)
+        real.restore(saved)
+        for _ in range(3):
+            real.write(real.read().q_target + 0.01)
+            real.step()
+        ends.append((real.read().q_target, sim.read().q_target, sim.read().q))
+    for first, again in zip(*ends, strict=True):
+        np.testing.assert_array_equal(first, again)
+
+
+def test_restart_of_some_leaves_the_others(sim: BatchSimulator) -> None:
+    real = LimitedHand(sim, HandLimits.real())
+    real.write(sim.read().q_target + 0.03)
+    sent = real.read().q_target
+    real.restart(np.array([True, False]))
+    np.testing.assert_array_equal(real.read().q_target[0], sim.read().q_target[0])
+    np.testing.assert_array_equal(real.read().q_target[1], sent[1])
+
+
 @pytest.mark.parametrize(
-    ("settings", "text"),
+    ("settings", "said"),
     [
-        ({"speed": 0.0}, "speed is 0.0; expected rad/s above 0"),
-        ({"latency": np.nan}, "latency is nan; expected 0 to 10 s"),
-        ({"torque": -1.0}, "torque is -1.0"),
-        ({"stiffness": [1.0, 2.0]}, "stiffness is .* one or \\(15,\\)"),
+        ({"speed_limit": 0.0}, "speed_limit is 0.0; expected a finite number above 0"),
+        ({"action_latency": np.nan}, "action_latency is nan; expected a finite number, 0 or more"),
+        ({"action_latency": 11.0}, "action_latency is 11.0; expected 0 to 10 s"),
+        ({"torque_limit": -1.0}, "torque_limit is -1.0"),
     ],
 )
-def test_bad_settings(sim: BatchSimulator, settings: dict[str, float], text: str) -> None:
-    with pytest.raises(InvalidInput, match=text):
-        AsReal(sim, **settings)
+def test_bad_limits(settings: dict[str, float], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        HandLimits(**settings)
+
+
+def test_bad_stiffness(sim: BatchSimulator) -> None:
+    with pytest.raises(InvalidInput, match="stiffness is .* one or \\(15,\\)"):
+        LimitedHand(sim, HandLimits.real(), [1.0, 2.0])
 
 
 def test_bad_set_points(sim: BatchSimulator) -> None:
-    real = AsReal(sim)
+    real = LimitedHand(sim, HandLimits.real())
     with pytest.raises(InvalidInput, match="q_target has shape \\(15,\\); expected \\(2, 15\\)"):
         real.write(np.zeros(15))
     with pytest.raises(InvalidInput, match="all finite"):

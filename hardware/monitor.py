@@ -1,4 +1,4 @@
-"""Lookout: what may be wrong with joints, servos, fingertips and the clock, told as events."""
+"""Monitor: watches joints, servos, fingertips and the clock, and tells as events what is wrong."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from dexctl.state import Bools
 from hardware import registers
 from hardware.hand import ServoHand
-from hardware.machine import Event
 from hardware.samples import JointSample
+from hardware.state_machine import Event
 from hardware.tactile import NoTactile
 
 LOST_AFTER = 3  # reads missed in a row
@@ -20,8 +20,8 @@ HEALTH_SECONDS = 1.0
 WINDOW = 100  # ticks over which overruns are counted
 
 
-class Lookout:
-    """Looks at one thing after the other, and tells what is wrong.
+class Monitor:
+    """Watches one thing after the other, and tells what is wrong.
 
     Args:
         hand: the hand that is run.

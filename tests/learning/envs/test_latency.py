@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from dexctl.exceptions import InvalidInput
-from learning.envs import EnvConfig, FingerGaitingVectorEnv, make_vector
-from learning.envs.config import unit_axis
+from dexctl.settings import from_plain
+from learning.envs import EnvConfig, ManipulationVectorEnv, make_vector
+
+
+def env_config(**settings: Any) -> EnvConfig:
+    return from_plain(EnvConfig, settings)
+
 
 PARTS = ("q", "contact_force", "object_position", "q_target")
 
 
-def made(latency: float, count: int = 2, **options) -> FingerGaitingVectorEnv:
-    config = EnvConfig(
-        object="cylinder", parts=PARTS, joint_noise=0.01, threads=1, latency=latency, **options
+def made(latency: float, count: int = 2, **options) -> ManipulationVectorEnv:
+    config = env_config(
+        object="cylinder",
+        parts=PARTS,
+        joint_noise=0.01,
+        threads=1,
+        sensor_latency=latency,
+        **options,
     )
     return make_vector(config, count, seed=5)
 
 
-def observed(envs: FingerGaitingVectorEnv, actions: np.ndarray) -> list[np.ndarray]:
+def observed(envs: ManipulationVectorEnv, actions: np.ndarray) -> list[np.ndarray]:
     """The first observations, and those after each action."""
     rows = [envs.reset(seed=5)[0]]
     rows += [envs.step(np.tile(action, (envs.num_envs, 1)))[0] for action in actions]
@@ -70,8 +82,5 @@ def test_restored_environments_go_on_with_the_same_bits(wiggle: np.ndarray) -> N
 
 
 def test_the_settings() -> None:
-    assert EnvConfig(latency=0.07).latency_steps == 1
-    assert EnvConfig(latency=0.2, control_period=0.1).latency_steps == 2
-    with pytest.raises(InvalidInput, match=r"latency is -0\.1"):
-        EnvConfig(latency=-0.1)
-    assert unit_axis((0.0, -2.0, 0.0)) == (0.0, -1.0, 0.0)
+    with pytest.raises(InvalidInput, match=r"sensor_latency is -0\.1"):
+        env_config(sensor_latency=-0.1)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dexctl.rotations import multiply
-from learning.envs.episode import Episodes
-from learning.envs.reward import Turning, reward, shortest, tilt, twist_angle
+from dexctl.settings import from_plain
+from dexctl.sim import SceneConfig, Simulation
+from dexctl.state import GraspState
+from learning.envs.task import Step
+from learning.envs.turning import Motion, TurningConfig, reward, shortest, tilt, twist_angle
 
 Z = np.array([0.0, 0.0, 1.0])
 ONE = np.array([1.0, 0.0, 0.0, 0.0])
@@ -20,14 +25,14 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def test_the_equation_case_by_case() -> None:
-    turning = Turning(
+    motion = Motion(
         speed=np.array([0.3, 0.9, -0.2, 0.3, 0.3, 0.3, -0.2]),
         tilt=np.array([0.0, 0.5, 0.0, 0.51, 0.0, 0.0, 0.6]),
         fingertips=np.array([3, 5, 4, 5, 2, 4, 1]),
         fingertips_only=np.array([True, True, True, True, True, False, False]),
     )
     expected = [0.3, 0.5, -0.2, 0.0, 0.0, 0.0, -0.2]
-    np.testing.assert_array_equal(reward(turning, 0.5, 0.5, 3), expected)
+    np.testing.assert_array_equal(reward(motion, TurningConfig()), expected)
 
 
 def test_tilt_by_hand() -> None:
@@ -58,19 +63,26 @@ def test_tilting_alone_is_no_rotation(
 
 
 def test_rotation_is_unwrapped_over_many_turns() -> None:
-    episodes = Episodes(2, Z)
+    config = from_plain(SceneConfig, {"object": "cylinder", "threads": 1})
+    with Simulation(config, 2) as simulation:
+        task, state = TurningConfig().build(simulation), simulation.state
     start = about(Z, 0.4)
-    episodes.begin(np.array([True, True]), np.array([start, start]))
+
+    def at(*quaternions: np.ndarray) -> GraspState:
+        return replace(state, object_quaternion=np.array(quaternions))
+
+    task.begin(np.array([True, True]), at(start, start))
     step = 1.3
     for k in range(1, 21):  # four turns forwards, four back; quaternions of either sign
         sign = 1 if k % 2 else -1
-        now = np.array([about(Z, 0.4 + step * k), sign * about(Z, 0.4 - step * k)])
-        episodes.add(np.array([0.5, 0.0]), now)
-    np.testing.assert_allclose(episodes.rotation, [26.0, -26.0])
-    np.testing.assert_allclose(episodes.returns, [10.0, 0.0])
-    episodes.begin(np.array([True, False]), np.array([start, start]))
-    np.testing.assert_array_equal(episodes.length, [0, 20])
-    np.testing.assert_allclose(episodes.rotation, [0.0, -26.0])
+        now = at(about(Z, 0.4 + step * k), sign * about(Z, 0.4 - step * k))
+        position, nobody = now.object_position, np.zeros(2, bool)
+        assert position is not None
+        found = task.judge(Step(now, np.zeros((2, 3)), ~nobody, position, nobody))
+        assert not found.dropped.any() and not found.succeeded.any()
+    np.testing.assert_allclose(found.info["rotation"], [26.0, -26.0])
+    task.begin(np.array([True, False]), at(start, start))
+    np.testing.assert_allclose(task.rotation, [0.0, -26.0])
 
 
 def test_speed_is_measured_at_control_rate() -> None:
@@ -80,7 +92,11 @@ def test_speed_is_measured_at_control_rate() -> None:
     from learning.envs import EnvConfig, make_vector
 
     axis = np.array([0.0, 0.6, 0.8])
-    envs = make_vector(EnvConfig(object="cylinder", axis=(0.0, 3.0, 4.0), threads=1), 2, seed=0)
+    envs = make_vector(
+        from_plain(EnvConfig, {"object": "cylinder", "axis": (0.0, 3.0, 4.0), "threads": 1}),
+        2,
+        seed=0,
+    )
     igm = controllers.make("igm", envs.hand)
     for _ in range(5):
         before = envs.state.object_quaternion

@@ -1,4 +1,4 @@
-"""Who acts, what is remembered of it, and the adapter, on environments of a few numbers."""
+"""Who acts, on environments of a few numbers."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ import gymnasium
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
-
 import dexctl
 from dexctl import controllers
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
-from learning.agents import GuidedReplayBuffer, GuidedSAC, GuidedTD3, StableBaselinesVecEnv
 from learning.exploration import GuidanceConfig, Guide, commitment
 
 HAND = dexctl.hands.load("dex5")
@@ -209,83 +205,56 @@ def test_one_environment_chooses_as_it_would_in_a_batch() -> None:
     assert (actors(4, 5)[:, 2] == actors(1, 7)[:, 0]).all()
 
 
-def test_bad_guidance() -> None:
-    with pytest.raises(UnknownName, match="unknown method 'dagger'; known: rl, rl\\+bc"):
-        GuidanceConfig(method="dagger")
-    with pytest.raises(InvalidInput, match="horizon is 0"):
-        GuidanceConfig(horizon=0)
-    with pytest.raises(InvalidInput, match="fixed_start is 2"):
-        GuidanceConfig(fixed_start=2)
+@pytest.mark.parametrize(("cloned", "labelled"), [("acted", 0), ("visited", 4)])
+def test_states_that_the_policy_visits_are_labelled(cloned: Any, labelled: int) -> None:
+    config = GuidanceConfig(method="vge+bc", cloned=cloned, horizon=2)
+    guide = Guide(Counting(), [Constant(0.05)], config, 0)
+    choice = guide.act(0, learner(), prefer(0))  # nobody else acts
+    assert (choice.actor == 0).all() and (choice.action == 0.25).all()
+    assert choice.guided.sum() == labelled
+    if labelled:
+        assert choice.label == pytest.approx(0.5)
+
+
+def test_beta_falls_to_its_end() -> None:
+    config = GuidanceConfig(method="vge+bc", beta=10, beta_end=2, beta_stop=100, hard_stop=1000)
+    guide = Guide(Counting(), [Constant(0.0)], config, 0)
+    assert [guide.beta(step) for step in (0, 50, 100, 5000)] == [10, 6, 2, 2]
+
+
+def test_a_controller_that_gives_no_state_begins_anew_and_that_is_said() -> None:
+    guide = Guide(Counting(), [Constant(0.0)], GuidanceConfig(), 0)
+    guide.act(0, learner(), zeros)
+    other = Guide(Counting(), [Constant(0.0)], GuidanceConfig(), 0)
+    assert other.load_state_dict(guide.state_dict()) == [
+        "Constant does not give its state: it begins anew"
+    ]
+    assert (other.segments.actor == guide.segments.actor).all()
+    with pytest.raises(InvalidInput, match="has 1 controllers and 4 environments; this one has 2"):
+        Guide(Counting(), [Constant(0.0)] * 2, GuidanceConfig(), 0).load_state_dict(
+            guide.state_dict()
+        )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "dagger"}, "unknown method 'dagger'; known: rl, rl\\+bc"),
+        ({"horizon": 0}, "horizon is 0"),
+        ({"fixed_start": 2}, "fixed_start is 2"),
+        ({"cloned": "some"}, "'some'; known: None, acted, visited"),
+        ({"cloning": "fast"}, "'fast'; known: likelihood, squared"),
+        ({"cloning_weight": "heavy"}, "'heavy'; known: value, equal, better"),
+        ({"method": "rl+bc", "cloned": "acted"}, "no controller acts"),
+        ({"beta_stop": 0}, "beta_stop is 0"),
+        ({"hard_stop": -1}, "hard_stop is -1"),
+    ],
+)
+def test_bad_guidance(options: dict[str, Any], message: str) -> None:
+    with pytest.raises((InvalidInput, UnknownName), match=message):
+        GuidanceConfig(**options)
+
+
+def test_a_guide_needs_controllers() -> None:
     with pytest.raises(InvalidInput, match="got no controllers"):
         Guide(Counting(), [], GuidanceConfig(method="vge"))
-
-
-def test_adapter_is_exact_about_the_end_of_episodes() -> None:
-    env = StableBaselinesVecEnv(Counting(3))
-    assert env.reset().tolist() == [[0, 0], [0, 1], [0, 2]]
-    actions = np.zeros((3, D))
-    _, _, done, infos = env.step(actions)
-    assert not done.any() and infos == [{}, {}, {}]
-    obs, _, done, infos = env.step(actions)
-    assert done.tolist() == [True, False, False] and np.asarray(obs)[0].tolist() == [0, 0]
-    assert infos[0]["terminal_observation"].tolist() == [2, 0]
-    assert infos[0]["TimeLimit.truncated"] is False
-    assert infos[0]["episode"] == {"r": 1.0, "l": 2}
-    _, _, done, infos = env.step(actions)
-    assert done.tolist() == [False, True, False]
-    assert infos[1]["TimeLimit.truncated"] is True
-    assert infos[1]["terminal_observation"].tolist() == [3, 1]
-
-
-@pytest.mark.parametrize("kind", [GuidedSAC, GuidedTD3])
-def test_what_is_remembered(kind: Any) -> None:
-    """Next observations, ends and who acted, against what the environment is known to do."""
-    env = Counting()
-    guide = Guide(env, [Constant(0.05)], GuidanceConfig(method="vge", horizon=2), 0)
-    agent = kind(
-        "MlpPolicy", StableBaselinesVecEnv(env), guide=guide, buffer_size=400, seed=0,
-        batch_size=16, learning_starts=40, policy_kwargs={"net_arch": [8]}, device="cpu",
-    )  # fmt: skip
-    agent.learn(200)
-    batch = agent.replay_buffer.sample(2000)
-    count, index = batch.observations.numpy().T
-    following, same = batch.next_observations.numpy().T
-    assert (following == count + 1).all() and (same == index).all()
-    last = following == index + 2
-    assert (batch.dones.numpy()[:, 0] == (last & (index % 2 == 0))).all()
-    guided = batch.guided.numpy()[:, 0] == 1
-    assert 0.2 < guided.mean() < 0.8
-    assert batch.actions.numpy()[guided] == pytest.approx(0.5)
-    assert guide.acted.sum() == 200
-
-
-def test_replay_keeps_labels_beside_actions() -> None:
-    box = gymnasium.spaces.Box
-    buffer = GuidedReplayBuffer(
-        10, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", n_envs=5, labels=True, seed=0
-    )
-    step = {"obs": np.ones((5, 2)), "next_obs": np.zeros((5, 2)), "action": np.full((5, 3), 0.5)}
-    marked = np.array([True, False, True, False, True])
-    for reward in (1.0, 2.0, 3.0):  # the third step overwrites the first
-        buffer.add(
-            **step, reward=np.full(5, reward), done=np.zeros(5), guided=marked,
-            guide_action=np.full((5, 3), -reward),
-        )  # fmt: skip
-    batch = buffer.sample(300)
-    assert set(batch.rewards.flatten().tolist()) == {2.0, 3.0}
-    assert (batch.guide_actions == -batch.rewards).all() and (batch.actions == 0.5).all()
-    assert buffer.nbytes == 4 * 10 * (2 + 2 + 3 + 1 + 1 + 1 + 1 + 3)
-    again = GuidedReplayBuffer(10, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", 5, labels=True)
-    again.load_state_dict(buffer.state_dict())
-    assert (again.sample(50).rewards == buffer.sample(50).rewards).all()
-
-
-def test_replay_refuses_numbers_that_are_none() -> None:
-    box = gymnasium.spaces.Box
-    buffer = GuidedReplayBuffer(10, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", n_envs=2)
-    obs = np.array([[0.0, 0.0], [np.nan, 0.0]])
-    with pytest.raises(InvalidInput, match=r"environments \[1\] is not finite"):
-        buffer.add(obs, obs, np.zeros((2, 3)), np.zeros(2), np.zeros(2))
-    assert buffer.size() == 0
-    with pytest.raises(InvalidInput, match="holds 1 transitions"):
-        GuidedReplayBuffer(1, box(-1, 1, (2,)), box(-1, 1, (3,)), "cpu", n_envs=2)

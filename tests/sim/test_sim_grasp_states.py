@@ -1,0 +1,111 @@
+"""Files of grasp states: quick, whole, and clear about what is wrong with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl.exceptions import InvalidInput
+from dexctl.sim import GraspStates
+from dexctl.sim.grasp_states import StateSampler
+
+
+def grasps(count: int = 3, d: int = 15, **changes: Any) -> GraspStates:
+    hand = dexctl.hands.load("dex5")
+    fields = {
+        "hand": "dex5",
+        "q": np.arange(count)[:, None] + np.zeros((count, d)),
+        "q_target": np.zeros((count, d)),
+        "object_position": np.zeros((count, 3)),
+        "object_quaternion": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        "object": ["cube", "sphere", "cube"] * (count // 3),
+        "joint_names": hand.joint_names,
+    }
+    return GraspStates(**{**fields, **changes})
+
+
+def test_a_file_has_what_was_saved(tmp_path: Path) -> None:
+    states, path = grasps(), tmp_path / "grasps.npz"
+    states.save(path)
+    found = GraspStates.load(path)
+    assert (found.hand, len(found), found.object.tolist()) == (
+        "dex5",
+        3,
+        ["cube", "sphere", "cube"],
+    )
+    np.testing.assert_array_equal(found.q, states.q)
+    assert found.of("cube").q[:, 0].tolist() == [0.0, 2.0]
+    assert [file.name for file in tmp_path.iterdir()] == ["grasps.npz"]
+
+
+def test_thousands_are_read_in_a_moment(tmp_path: Path) -> None:
+    grasps(6000).save(tmp_path / "many.npz")
+    start = perf_counter()
+    assert len(GraspStates.load(tmp_path / "many.npz")) == 6000
+    assert perf_counter() - start < 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"object": []}, "GraspStates has no states"),
+        ({"object": "cube"}, "GraspStates.object is cube; expected a list"),
+        ({"q": np.zeros((3, 14))}, r"GraspStates.q has shape \(3, 14\); expected \(3, 15\)"),
+        ({"q_target": np.full((3, 15), np.nan)}, "GraspStates.q_target has numbers that are not"),
+        ({"q": np.full((3, 15), "a")}, "GraspStates.q has no numbers"),
+        ({"object_quaternion": np.ones((3, 4))}, "object_quaternion has norm 2; expected 1"),
+        ({"object_position": np.zeros(3)}, r"object_position has shape \(3,\); expected \(3, 3\)"),
+    ],
+)
+def test_bad_states(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        grasps(**changes)
+    path, fields = tmp_path / "bad.npz", {**vars(grasps()), **changes}
+    np.savez(path, **fields)
+    with pytest.raises(InvalidInput, match=rf"grasp states '.*bad\.npz': .*{said}") as caught:
+        GraspStates.load(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "cannot be read: .*No such file"),
+        (b"", "cannot be read"),
+        (b"grasps", "cannot be read"),
+        ("npy", "cannot be read"),
+        ("cut", "cannot be read"),
+        ("part", "lacks q_target, .*expected hand, q, "),
+    ],
+)
+def test_files_that_are_none(content: object, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.npz"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content == "npy":
+        with path.open("wb") as stream:
+            np.save(stream, np.zeros(3))
+    elif content == "cut":
+        grasps().save(path)
+        path.write_bytes(path.read_bytes()[:-200])
+    elif content == "part":
+        np.savez(path, hand="dex5", q=np.zeros((1, 15)))
+    with pytest.raises(InvalidInput, match=said) as caught:
+        GraspStates.load(path)
+    assert "bad.npz" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_each_environment_draws_states_of_its_object(dex5: dexctl.HandModel) -> None:
+    sampler = StateSampler(grasps(), dex5, ("cube", "sphere", "cube"))
+    assert sampler(np.array([0.0, 0.99, 0.99])).tolist() == [0, 1, 2]
+    with pytest.raises(InvalidInput, match="none of the object 'cylinder'; they are of cube, sph"):
+        StateSampler(grasps(), dex5, ("cylinder",))
+    other = grasps(d=2, hand="claw", joint_names=["a", "b"])
+    with pytest.raises(InvalidInput, match="of the hand 'claw', whose 2 joints are not the 15 of"):
+        StateSampler(other, dex5, ("cube",))
