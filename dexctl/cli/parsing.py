@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
@@ -16,6 +16,9 @@ from dexctl.exceptions import InvalidInput
 
 C = TypeVar("C")
 _BORDER = "╭╮╰╯│─ "
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+"""A switch: there is no --no-... of it."""
 
 
 def parse(kind: type[C], title: str, arguments: Sequence[str]) -> C | None:
@@ -25,12 +28,15 @@ def parse(kind: type[C], title: str, arguments: Sequence[str]) -> C | None:
         InvalidInput: they are not right; one line, where tyro draws a box.
     """
     box = io.StringIO()
+    defaults = getattr(kind, "defaults", None)
+    default: Any = tyro.MISSING if defaults is None else defaults(arguments)
     try:
         with redirect_stderr(box):
             return tyro.cli(
                 kind,
                 prog=title,
                 args=list(arguments),
+                default=default,
                 config=(tyro.conf.FlagCreatePairsOff,),
             )
     except SystemExit as stop:
@@ -40,6 +46,15 @@ def parse(kind: type[C], title: str, arguments: Sequence[str]) -> C | None:
     finally:
         if sys.exc_info()[0] is None:
             sys.stderr.write(box.getvalue())  # a warning, if anything
+
+
+def given(arguments: Sequence[str], option: str) -> str | None:
+    """The value of ``option`` in ``arguments``, or None where it is not there."""
+    for i, word in enumerate(arguments):
+        name, equals, value = word.partition("=")
+        if name.replace("_", "-") == option:
+            return value if equals else next(iter(arguments[i + 1 :]), "")
+    return None
 
 
 def _one_line(box: str) -> str:
