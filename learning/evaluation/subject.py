@@ -12,8 +12,8 @@ import numpy as np
 from dexctl import controllers, hands
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.rotations import unit_axis
 from dexctl.settings import Vector, changed, from_plain, get, leaves
+from dexctl.validation import unit_axis
 from learning.config import TrainConfig
 from learning.evaluation.protocol import Protocol
 from learning.policies import Policy, load, names
@@ -73,7 +73,9 @@ class Subject:
         base = Protocol()
         if self.trained is not None:
             env = self.trained.env
-            base = replace(base, scene=replace(env.scene.undisturbed(), threads=None), task=env.task)
+            base = replace(
+                base, scene=replace(env.scene.undisturbed(), threads=None), task=env.task
+            )
         own: dict[str, Any] = {"hand": self.hand}
         own["control_period"] = float(self.controller.control_period)
         if self.axis is not None:
@@ -132,12 +134,10 @@ def open_subject(
         who: Controller = load(name, hand=hand, parts=parts)
     else:
         folder = None
-        direction = None if axis is None else tuple(unit_axis(axis).tolist())
+        direction = None if axis is None else unit_axis(axis)
         who = controllers.resolve(name, hands.load(hand or "dex5"), axis=direction)
     if not isinstance(who, Policy):
-        return Subject(
-            name=name, kind="controller", hand=hand or "dex5", controller=who, axis=axis
-        )
+        return Subject(name=name, kind="controller", hand=hand or "dex5", controller=who, axis=axis)
     return Subject(
         name=name,
         kind="policy" if folder is None else "run",

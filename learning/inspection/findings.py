@@ -218,7 +218,9 @@ def inspect(
     )
     name = rollouts.evaluation.object
     if subject.objects and name not in subject.objects:
-        remarks.append(f"The policy was trained with {', '.join(subject.objects)}, not with {name}.")
+        remarks.append(
+            f"The policy was trained with {', '.join(subject.objects)}, not with {name}."
+        )
     trace, period = rollouts.trace, rollouts.period
     grasps = examine(trace, rollouts.scene, progress=lambda share: tell("grasps", share))
     drops = find_drops(trace, grasps, period, rule)

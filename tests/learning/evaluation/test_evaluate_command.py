@@ -99,7 +99,10 @@ def test_what_is_not_said_is_as_in_training(
     assert run(policy, *short, *others) == 0
     found = json.loads(capsys.readouterr().out)
     assert [one["object"] for one in found["results"]] == ["cube"]
-    assert (found["protocol"]["scene"]["gravity"], found["protocol"]["task"]["axis"]) == ("up", "-z")
+    assert (found["protocol"]["scene"]["gravity"], found["protocol"]["task"]["axis"]) == (
+        "up",
+        "-z",
+    )
     assert found["results"][0]["disturbance"]["push_force"] == 0.5
 
 

@@ -17,7 +17,8 @@ import pytest
 import dexctl
 from dexctl import controllers
 from dexctl.settings import changed, get, paths
-from learning.evaluation import Protocol, evaluate, store as stores
+from learning.evaluation import Protocol, evaluate
+from learning.evaluation import store as stores
 from learning.evaluation.robustness import robustness
 from learning.evaluation.store import EvaluationStore, fingerprint
 
