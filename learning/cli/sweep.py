@@ -66,9 +66,9 @@ class Sweep:
                 )
             config, folder = reopen(given), make_folder(given)
         else:
-            from learning.sweep.config import SweepConfig
+            from learning.sweep.reading import load_sweep
 
-            config = SweepConfig.load(given, seed=self.seed, steps=self.steps)
+            config = load_sweep(given, seed=self.seed, steps=self.steps)
             folder = make_folder(self.out or Path("runs") / given.stem)
         if self.report_only:  # at any time, while the sweep is at work too
             check(config, folder)

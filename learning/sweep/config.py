@@ -1,32 +1,20 @@
-"""SweepConfig: what a sweep runs, read from TOML and checked before anything starts.
-
-A file names methods, controllers and seeds; ``[train]`` changes `TrainConfig`, and
-``[method.NAME]`` does so for one method, which may have ``controllers`` and ``seeds`` of its own;
-``[evaluation]`` changes `Protocol`, and ``[criterion]`` says what counts. ``examples/sweep.toml``
-is one.
-"""
+"""SweepConfig: what a sweep runs, how it evaluates and what counts, every run with all it needs."""
 
 from __future__ import annotations
 
 import json
-import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Self
 
-from dexctl import controllers as known_controllers
 from dexctl import settings
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import from_plain, to_plain
 from learning.config import TrainConfig
 from learning.evaluation.figures import FULL_TURN
 from learning.evaluation.protocol import Protocol
-from learning.exploration.config import METHODS, check_controllers
-from learning.sweep import reading
 
 GUIDE = "guide"
-_TOP = ("name", "methods", "controllers", "seeds", "train", "method", "evaluation", "criterion")
 
 
 @dataclass(frozen=True)
@@ -86,7 +74,9 @@ class Criterion:
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Self:
         """What the table [criterion] says."""
-        reading.check_keys("criterion", table, ("rotation",))
+        for key in table:
+            if key != "rotation":
+                raise UnknownName("setting of criterion", key, ("rotation",))
         value = table.get("rotation", FULL_TURN)
         if value == GUIDE:
             return cls(None)
@@ -127,89 +117,6 @@ class SweepConfig:
     def objects(self) -> tuple[str, ...]:
         """What the policies are evaluated with."""
         return tuple(dict.fromkeys(self.protocol.scene.object))
-
-    @classmethod
-    def load(cls, path: Path, *, seed: int = 0, steps: int | None = None) -> SweepConfig:
-        """Read a file.
-
-        Args:
-            path: TOML.
-            seed, steps: see `parse`.
-
-        Raises:
-            UnknownName, InvalidInput: it is not right; one line that says what.
-        """
-        try:
-            given = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InvalidInput(f"cannot read {path}: {error.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InvalidInput(f"{path} is not TOML: {error}") from None
-        return cls.parse({"name": path.stem, **given}, path.parent, seed=seed, steps=steps)
-
-    @classmethod
-    def parse(
-        cls,
-        given: Mapping[str, Any],
-        folder: Path = Path(),
-        *,
-        seed: int = 0,
-        steps: int | None = None,
-    ) -> SweepConfig:
-        """The sweep that a mapping, as TOML gives it, describes.
-
-        Args:
-            given: the mapping.
-            folder: that files in it are meant from.
-            seed: added to every seed in it.
-            steps: environment steps of each run, in place of those in it.
-
-        Raises:
-            UnknownName, InvalidInput: it is not right.
-        """
-        reading.check_keys("sweep", given, _TOP)
-        if seed < 0:
-            raise InvalidInput(f"--seed is {seed}; expected a whole number from 0 on")
-        name = given.get("name", "sweep")
-        if not isinstance(name, str):
-            raise InvalidInput(f"name is {name!r}; expected a text")
-        methods = _methods(given)
-        overrides = reading.table(given, "method")
-        for method in overrides:
-            if method not in METHODS:
-                raise UnknownName("method", method, METHODS)
-            if method not in methods:
-                raise InvalidInput(f"[method.{method}] is given; methods are {', '.join(methods)}")
-        base = reading.changes(reading.table(given, "train"), "train")
-        last = reading.Changes(None, {} if steps is None else {"steps": steps})
-        plan: list[list[TrainConfig]] = []
-        for method in methods:
-            over = dict(reading.table(overrides, method, f"method.{method}"))
-            groups = reading.groups(over.pop("controllers", given.get("controllers", [])))
-            seeds = reading.seeds(over.pop("seeds", given.get("seeds", 1)))
-            parts = (base, reading.changes(over, f"method.{method}"), last)
-            plan += [
-                [reading.train_config(parts, method, group, seed + k, folder) for k in seeds]
-                for group in _rows(method, groups)
-            ]
-        runs = tuple(PlannedRun(config) for config in _seeds_first(plan))
-        criterion = Criterion.from_dict(reading.table(given, "criterion"))
-        evaluation = dict(reading.table(given, "evaluation"))
-        compared = _compared(evaluation.pop("controllers", []))
-        if criterion.rotation is None:
-            compared += [name for made in plan for name in made[0].guides]
-            if not compared:
-                raise InvalidInput(
-                    'criterion.rotation is "guide", and no controllers are in the sweep'
-                )
-        return cls(
-            name=name,
-            runs=runs,
-            protocol=reading.protocol(evaluation, [run.config for run in runs], folder),
-            compared=tuple(dict.fromkeys(compared)),
-            criterion=criterion,
-            given=given,
-        )
 
     def to_dict(self) -> dict[str, Any]:
         """Everything that decides what the sweep does, as JSON can hold it."""
@@ -256,45 +163,3 @@ def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
         keys.append("compared")
     same = {**now, "runs": {name: now["runs"][name] for name in before["runs"]}}
     return settings.difference({key: before[key] for key in keys}, {key: same[key] for key in keys})
-
-
-def _methods(given: Mapping[str, Any]) -> list[str]:
-    methods = given.get("methods")
-    if not isinstance(methods, list) or not methods:
-        raise InvalidInput(f"methods is {methods!r}; expected a list of {', '.join(METHODS)}")
-    for method in methods:
-        if method not in METHODS:
-            raise UnknownName("method", method, METHODS)
-    reading.check_different("methods", methods)
-    return methods
-
-
-def _rows(method: str, groups: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """The controllers of each row of a method."""
-    if method == "rl":
-        return [()]
-    if not groups:
-        raise InvalidInput(
-            f"method {method!r} has no controllers; expected some of "
-            f"{', '.join(known_controllers.names())}"
-        )
-    for group in groups:
-        check_controllers(method, group)
-    return groups
-
-
-def _compared(values: Any) -> list[str]:
-    groups = reading.groups(values, "evaluation.controllers")
-    for group in groups:
-        if len(group) > 1:
-            raise InvalidInput(
-                f"evaluation.controllers has {list(group)}; each is evaluated by itself"
-            )
-    return [name for group in groups for name in group]
-
-
-def _seeds_first(plan: list[list[TrainConfig]]) -> Iterator[TrainConfig]:
-    for k in range(max(map(len, plan))):
-        for made in plan:
-            if k < len(made):
-                yield made[k]

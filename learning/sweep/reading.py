@@ -1,46 +1,153 @@
-"""The tables of a sweep's file as configurations; what is wrong is named in one line."""
+"""From a sweep's file to what it means; what is wrong with it is named in one line.
+
+A file names methods, controllers and seeds; ``[train]`` changes `TrainConfig`, and
+``[method.NAME]`` does so for one method, which may have ``controllers`` and ``seeds`` of its own;
+``[evaluation]`` changes `Protocol`, and ``[criterion]`` says what counts. ``examples/sweep.toml``
+is one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
 from dexctl import controllers
-from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
-from dexctl.settings import by_path, changed, get, paths
-from dexctl.sim.scene_config import SceneConfig
-from learning.config import RECIPES, TrainConfig, recipe
-from learning.evaluation.protocol import Protocol
+from dexctl.exceptions import InvalidInput, UnknownName
+from learning.config import TrainConfig
+from learning.exploration.config import METHODS, check_controllers
+from learning.sweep import tables
+from learning.sweep.config import Criterion, PlannedRun, SweepConfig
 
-C = TypeVar("C")
-
-_DEFAULTS = {"env.scene.threads": 1}  # several runs share the machine
-_ELSEWHERE = {"seed": "seeds", "controllers": "controllers", "guidance.method": "methods"}
+_TOP = ("name", "methods", "controllers", "seeds", "train", "method", "evaluation", "criterion")
 
 
-class Changes(NamedTuple):
-    """What [train] or [method.NAME] says.
+def load_sweep(path: Path, *, seed: int = 0, steps: int | None = None) -> SweepConfig:
+    """Read a file.
 
-    Attributes:
-        recipe: its name; None where none is given.
-        settings: of `TrainConfig`, by path.
+    Args:
+        path: TOML.
+        seed, steps: see `parse_sweep`.
+
+    Raises:
+        UnknownName, InvalidInput: it is not right; one line that says what.
     """
-
-    recipe: str | None
-    settings: Mapping[str, Any]
-
-
-def check_keys(where: str, values: Mapping[str, Any], known: Iterable[str]) -> None:
-    """Raise UnknownName where ``values`` has a key that is not known."""
-    known = tuple(known)
-    for key in values:
-        if key not in known:
-            raise UnknownName(f"setting of {where}", key, known)
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InvalidInput(f"cannot read {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{path} is not TOML: {error}") from None
+    return parse_sweep({"name": path.stem, **given}, path.parent, seed=seed, steps=steps)
 
 
-def table(values: Mapping[str, Any], name: str, title: str | None = None) -> Mapping[str, Any]:
+def parse_sweep(
+    given: Mapping[str, Any],
+    folder: Path = Path(),
+    *,
+    seed: int = 0,
+    steps: int | None = None,
+) -> SweepConfig:
+    """The sweep that a mapping, as TOML gives it, describes.
+
+    Args:
+        given: the mapping.
+        folder: that files in it are meant from.
+        seed: added to every seed in it.
+        steps: environment steps of each run, in place of those in it.
+
+    Raises:
+        UnknownName, InvalidInput: it is not right.
+    """
+    for key in given:
+        if key not in _TOP:
+            raise UnknownName("setting of sweep", key, _TOP)
+    if seed < 0:
+        raise InvalidInput(f"--seed is {seed}; expected a whole number from 0 on")
+    name = given.get("name", "sweep")
+    if not isinstance(name, str):
+        raise InvalidInput(f"name is {name!r}; expected a text")
+    methods = _methods(given)
+    overrides = _table(given, "method")
+    for method in overrides:
+        if method not in METHODS:
+            raise UnknownName("method", method, METHODS)
+        if method not in methods:
+            raise InvalidInput(f"[method.{method}] is given; methods are {', '.join(methods)}")
+    base = tables.changes(_table(given, "train"), "train")
+    last = tables.Changes(None, {} if steps is None else {"steps": steps})
+    plan: list[list[TrainConfig]] = []
+    for method in methods:
+        over = dict(_table(overrides, method, f"method.{method}"))
+        groups = _groups(over.pop("controllers", given.get("controllers", [])))
+        seeds = _seeds(over.pop("seeds", given.get("seeds", 1)))
+        parts = (base, tables.changes(over, f"method.{method}"), last)
+        plan += [
+            [tables.train_config(parts, method, group, seed + k, folder) for k in seeds]
+            for group in _rows(method, groups)
+        ]
+    runs = tuple(PlannedRun(config) for config in _seeds_first(plan))
+    criterion = Criterion.from_dict(_table(given, "criterion"))
+    evaluation = dict(_table(given, "evaluation"))
+    compared = _compared(evaluation.pop("controllers", []))
+    if criterion.rotation is None:
+        compared += [name for made in plan for name in made[0].guides]
+        if not compared:
+            raise InvalidInput('criterion.rotation is "guide", and no controllers are in the sweep')
+    return SweepConfig(
+        name=name,
+        runs=runs,
+        protocol=tables.protocol(evaluation, [run.config for run in runs], folder),
+        compared=tuple(dict.fromkeys(compared)),
+        criterion=criterion,
+        given=given,
+    )
+
+
+def _methods(given: Mapping[str, Any]) -> list[str]:
+    methods = given.get("methods")
+    if not isinstance(methods, list) or not methods:
+        raise InvalidInput(f"methods is {methods!r}; expected a list of {', '.join(METHODS)}")
+    for method in methods:
+        if method not in METHODS:
+            raise UnknownName("method", method, METHODS)
+    _check_different("methods", methods)
+    return methods
+
+
+def _rows(method: str, groups: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """The controllers of each row of a method."""
+    if method == "rl":
+        return [()]
+    if not groups:
+        raise InvalidInput(
+            f"method {method!r} has no controllers; expected some of "
+            f"{', '.join(controllers.names())}"
+        )
+    for group in groups:
+        check_controllers(method, group)
+    return groups
+
+
+def _compared(values: Any) -> list[str]:
+    groups = _groups(values, "evaluation.controllers")
+    for group in groups:
+        if len(group) > 1:
+            raise InvalidInput(
+                f"evaluation.controllers has {list(group)}; each is evaluated by itself"
+            )
+    return [name for group in groups for name in group]
+
+
+def _seeds_first(plan: list[list[TrainConfig]]) -> Iterator[TrainConfig]:
+    for k in range(max(map(len, plan))):
+        for made in plan:
+            if k < len(made):
+                yield made[k]
+
+
+def _table(values: Mapping[str, Any], name: str, title: str | None = None) -> Mapping[str, Any]:
     """The table ``name``, empty where there is none."""
     found = values.get(name, {})
     if not isinstance(found, Mapping):
@@ -48,14 +155,14 @@ def table(values: Mapping[str, Any], name: str, title: str | None = None) -> Map
     return found
 
 
-def check_different(what: str, values: Sequence[Any]) -> None:
+def _check_different(what: str, values: Sequence[Any]) -> None:
     """Raise InvalidInput where a value is there twice."""
     for i, value in enumerate(values):
         if value in values[:i]:
             raise InvalidInput(f"{what} has {value!r} twice")
 
 
-def groups(values: Any, what: str = "controllers") -> list[tuple[str, ...]]:
+def _groups(values: Any, what: str = "controllers") -> list[tuple[str, ...]]:
     """Controllers: names, or lists of names that guide together."""
     if not isinstance(values, list):
         raise InvalidInput(f"{what} is {values!r}; expected a list of names")
@@ -68,13 +175,13 @@ def groups(values: Any, what: str = "controllers") -> list[tuple[str, ...]]:
             if not isinstance(name, str):
                 raise UnknownName("controller", name, controllers.names())
             controllers.entry(name)
-        check_different(f"a group of {what}", group)
+        _check_different(f"a group of {what}", group)
         found.append(group)
-    check_different(what, found)
+    _check_different(what, found)
     return found
 
 
-def seeds(value: Any) -> list[int]:
+def _seeds(value: Any) -> list[int]:
     """Seeds: a list of them, or how many, from 0 on."""
     if _whole(value, 1):
         return list(range(value))
@@ -82,102 +189,8 @@ def seeds(value: Any) -> list[int]:
         raise InvalidInput(
             f"seeds is {value!r}; expected how many, or a list of whole numbers from 0 on"
         )
-    check_different("seeds", value)
+    _check_different("seeds", value)
     return value
-
-
-def changes(values: Mapping[str, Any], where: str) -> Changes:
-    """What the table ``where``, [train] or [method.NAME], says."""
-    named = values.get("recipe")
-    if named is not None and (not isinstance(named, str) or named not in RECIPES):
-        raise UnknownName(f"{where}.recipe", named, RECIPES)
-    rest = {name: value for name, value in values.items() if name != "recipe"}
-    found = by_path(TrainConfig, rest, where)
-    for path, own in _ELSEWHERE.items():
-        if path in found:
-            raise InvalidInput(f"{where} has {path}, which the sweep says itself, as {own}")
-    return Changes(named, found)
-
-
-def train_config(
-    parts: Sequence[Changes], method: str, names: tuple[str, ...], seed: int, folder: Path
-) -> TrainConfig:
-    """The configuration of one run.
-
-    Args:
-        parts: what changes the recipe, each before the one before it.
-        method: of exploration.
-        names: of the controllers.
-        seed: of the run.
-        folder: where files are meant from; runs are elsewhere.
-    """
-    named = [part.recipe for part in parts if part.recipe is not None]
-    settings = dict(_DEFAULTS)
-    for part in parts:
-        settings |= part.settings
-    base = recipe(named[-1] if named else "thesis", method)
-    made = _changed(
-        base, {**settings, "controllers": names, "seed": seed}, f"runs of {method}", folder
-    )
-    _check_objects(made.env.scene, f"runs of {method}")
-    return made
-
-
-def protocol(values: Mapping[str, Any], trained: Sequence[TrainConfig], folder: Path) -> Protocol:
-    """How all policies are evaluated: as they were trained, but undisturbed, where [evaluation]
-    says nothing else.
-
-    Args:
-        values: the table [evaluation].
-        trained: every run's configuration.
-        folder: where files are meant from.
-    """
-    settings = by_path(Protocol, values, "evaluation")
-    threads = trained[0].env.scene.threads
-    made = []
-    for env in dict.fromkeys(config.env for config in trained):
-        scene = replace(env.scene.undisturbed(), threads=threads)
-        made.append(_changed(Protocol(scene=scene, task=env.task), settings, "evaluation", folder))
-    for path in paths(Protocol):
-        found = list(dict.fromkeys(get(one, path) for one in made))
-        if len(found) > 1:
-            raise InvalidInput(
-                f"runs are trained with {path} {found[0]} and {found[1]}, and all are evaluated "
-                "alike; say which in [evaluation]"
-            )
-    _check_objects(made[0].scene, "evaluation")
-    if made[0].seconds < made[0].scene.control_period:
-        raise InvalidInput(
-            f"evaluation.seconds is {made[0].seconds}; expected at least one control period of "
-            f"{made[0].scene.control_period}"
-        )
-    return made[0]
-
-
-def _changed(config: C, settings: Mapping[str, Any], where: str, folder: Path) -> C:
-    """``config`` with settings, and with files as absolute paths."""
-    try:
-        made = changed(config, settings)
-    except DexctlError as error:  # the configurations do not know the sweep's tables
-        raise InvalidInput(f"{where}: {error}") from None
-    files = {path: get(made, path) for path in paths(type(made))}
-    return changed(
-        made,
-        {
-            path: (folder / file.expanduser()).resolve()
-            for path, file in files.items()
-            if isinstance(file, Path)
-        },
-    )
-
-
-def _check_objects(scene: SceneConfig, where: str) -> None:
-    """Raise UnknownName where the simulator does not know an object."""
-    from dexctl.sim.objects import MESH, object_names
-
-    for name in scene.object:
-        if name not in (*object_names(), MESH):
-            raise UnknownName(f"object in {where}", name, object_names())
 
 
 def _whole(value: Any, least: int) -> bool:

@@ -18,6 +18,7 @@ from learning.config import TrainConfig
 from learning.evaluation.protocol import Protocol
 from learning.sweep.config import Cell, SweepConfig, difference
 from learning.sweep.jobs import jobs
+from learning.sweep.reading import load_sweep, parse_sweep
 
 ROOT = Path(__file__).parents[3]
 GIVEN: dict[str, Any] = {
@@ -58,7 +59,7 @@ def test_it_is_found_by_name() -> None:
 
 
 def test_the_matrix_by_hand() -> None:
-    config = SweepConfig.parse(GIVEN)
+    config = parse_sweep(GIVEN)
     assert config.cells == (
         Cell("rl", ()),
         Cell("vge", ("gait",)),
@@ -73,7 +74,7 @@ def test_the_matrix_by_hand() -> None:
 
 
 def test_settings_reach_the_runs() -> None:
-    runs = {run.name: run.config for run in SweepConfig.parse(GIVEN).runs}
+    runs = {run.name: run.config for run in parse_sweep(GIVEN).runs}
     vge, clone, alone = runs["vge-igm-switch-1"], runs["rl+bc-igm-1"], runs["rl-7"]
     assert (vge.seed, alone.seed) == (1, 7)
     assert (vge.guidance.method, vge.controllers) == ("vge", ("igm", "switch"))
@@ -90,7 +91,7 @@ def test_settings_reach_the_runs() -> None:
 
 def test_a_recipe_gives_what_is_not_given() -> None:
     given = changed(train__recipe="fast", train__sac__tau=0.5, train__guidance={"hard_stop": 500})
-    runs = {run.name: run.config for run in SweepConfig.parse(given).runs}
+    runs = {run.name: run.config for run in parse_sweep(given).runs}
     clone, alone = runs["rl+bc-igm-0"], runs["rl-7"]
     for config in (clone, alone):
         assert (config.sac.n_step, config.sac.layer_norm, config.env.scaled) == (5, True, True)
@@ -99,12 +100,10 @@ def test_a_recipe_gives_what_is_not_given() -> None:
     assert (clone.guidance.cloning, clone.guidance.beta) == ("squared", 1.0)
     assert alone.guidance.cloning == "likelihood"
     # for one method alone; and for all but one
-    runs = {
-        run.name: run.config for run in SweepConfig.parse(changed(method__rl__recipe="fast")).runs
-    }
+    runs = {run.name: run.config for run in parse_sweep(changed(method__rl__recipe="fast")).runs}
     assert (runs["rl-7"].sac.n_step, runs["vge-gait-0"].sac.n_step) == (5, 1)
     given = changed(train__recipe="fast", method__rl__recipe="thesis")
-    runs = {run.name: run.config for run in SweepConfig.parse(given).runs}
+    runs = {run.name: run.config for run in parse_sweep(given).runs}
     assert (runs["rl-7"].sac.n_step, runs["vge-gait-0"].sac.n_step) == (1, 5)
 
 
@@ -114,7 +113,7 @@ def test_every_setting_can_be_given() -> None:
     del whole["seed"], whole["controllers"], whole["guidance"]["method"]
     whole["env"]["scene"]["threads"] = 2
     given = {"methods": ["vge"], "controllers": ["gait"], "train": whole}
-    (run,) = SweepConfig.parse(given).runs
+    (run,) = parse_sweep(given).runs
     assert run.config == with_changes(TrainConfig(), {"threads": 2})
 
 
@@ -130,11 +129,11 @@ def test_what_a_method_says_goes_before_train_by_any_name() -> None:
     given = changed(
         train__axis="x", method__rl={"env": {"task": {"axis": "y"}}}, evaluation__axis="-z"
     )
-    runs = {run.config.guidance.method: run.config for run in SweepConfig.parse(given).runs}
+    runs = {run.config.guidance.method: run.config for run in parse_sweep(given).runs}
     assert (runs["rl"].env.task.axis, runs["vge"].env.task.axis) == ("y", "x")
     # [train] alone is no configuration of rl+bc, where no controller acts
     given = changed(train__guidance={"cloned": "acted"}, **{"method__rl+bc__cloned": "visited"})
-    runs = {run.config.guidance.method: run.config for run in SweepConfig.parse(given).runs}
+    runs = {run.config.guidance.method: run.config for run in parse_sweep(given).runs}
     assert (runs["rl+bc"].guidance.cloned, runs["vge"].guidance.cloned) == ("visited", "acted")
 
 
@@ -164,7 +163,7 @@ def other(path: str) -> Any:
 
 def protocols_of(given: dict[str, Any], folder: Path) -> list[Protocol]:
     """What the jobs of a sweep evaluate, as their processes read it."""
-    every = [type(job).from_json(job.to_json()) for job in jobs(SweepConfig.parse(given), folder)]
+    every = [type(job).from_json(job.to_json()) for job in jobs(parse_sweep(given), folder)]
     assert every[0].config is None and every[1].config is not None
     return [from_plain(Protocol, job.protocol) for job in every]
 
@@ -199,24 +198,22 @@ def test_every_setting_of_the_evaluation_reaches_the_jobs(path: str, tmp_path: P
 def test_policies_are_evaluated_in_what_they_were_trained_in() -> None:
     """The axis and the size, which evaluation once had of its own."""
     given = changed(train__env={"axis": "x", "object_size": 0.07, "object": "cylinder"})
-    config = SweepConfig.parse(given)
+    config = parse_sweep(given)
     assert (config.protocol.task.axis, config.protocol.scene.object_size) == ("x", 0.07)
     assert (config.protocol.episodes, config.protocol.seconds, config.compared) == (3, 2.0, ())
     with pytest.raises(InvalidInput, match="runs are trained with task.axis x and y, and all are"):
-        SweepConfig.parse({**given, "method": {"vge": {"controllers": ["gait"], "axis": "y"},
+        parse_sweep({**given, "method": {"vge": {"controllers": ["gait"], "axis": "y"},
                                                "rl+bc": {"controllers": ["igm"]}}})  # fmt: skip
 
 
 def test_the_guides_are_evaluated_where_they_are_the_measure() -> None:
-    config = SweepConfig.parse(
-        changed(criterion__rotation="guide", evaluation__controllers=["hold"])
-    )
+    config = parse_sweep(changed(criterion__rotation="guide", evaluation__controllers=["hold"]))
     assert config.criterion.rotation is None
     assert config.compared == ("hold", "gait", "igm", "switch")
 
 
 def test_jobs(tmp_path: Path) -> None:
-    config = SweepConfig.parse(
+    config = parse_sweep(
         changed(evaluation__controllers=["hold"], train__threads=3, train__torch_threads=2)
     )
     first, second, *_ = jobs(config, tmp_path)
@@ -233,14 +230,14 @@ def test_from_a_file(tmp_path: Path) -> None:
         "[train]\nsteps = 10\n[train.env]\ninitial_states = 'states.npz'\n"
         "[method.rl]\nseeds = 1\nsteps = 99\n"
     )
-    config = SweepConfig.load(path)
+    config = load_sweep(path)
     assert config.name == "small"
     assert [(run.name, run.config.steps) for run in config.runs] == [
         ("rl-0", 99), ("vge-gait-3", 10), ("vge-gait-5", 10),
     ]  # fmt: skip
     # runs work elsewhere
     assert config.runs[0].config.env.scene.initial_states == tmp_path.resolve() / "states.npz"
-    config = SweepConfig.load(path, seed=10, steps=500)
+    config = load_sweep(path, seed=10, steps=500)
     assert [(run.name, run.config.steps) for run in config.runs] == [
         ("rl-10", 500), ("vge-gait-13", 500), ("vge-gait-15", 500),
     ]  # fmt: skip
@@ -248,7 +245,7 @@ def test_from_a_file(tmp_path: Path) -> None:
 
 
 def test_the_example() -> None:
-    config = SweepConfig.load(ROOT / "examples" / "sweep.toml")
+    config = load_sweep(ROOT / "examples" / "sweep.toml")
     # 3 of RL, 2 of RL+BC with one controller, 2 of three methods with three controllers
     assert len(config.runs) == 3 + 2 + 2 * 3 * 3
     assert len(config.cells) == 1 + 1 + 9
@@ -308,7 +305,7 @@ def test_the_example() -> None:
 )  # fmt: skip
 def test_bad_input(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(DexctlError) as caught:
-        SweepConfig.parse(changed(**changes))
+        parse_sweep(changed(**changes))
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -316,7 +313,7 @@ def test_bad_input(changes: dict[str, Any], said: str) -> None:
 def test_a_measure_that_nobody_sets() -> None:
     given = {"methods": ["rl"], "criterion": {"rotation": "guide"}}
     with pytest.raises(InvalidInput, match='"guide", and no controllers are in the sweep'):
-        SweepConfig.parse(given)
+        parse_sweep(given)
 
 
 @pytest.mark.parametrize(
@@ -332,14 +329,14 @@ def test_bad_files(tmp_path: Path, content: str | None, said: str) -> None:
     if content is not None:
         path.write_text(content)
     with pytest.raises(InvalidInput, match=said):
-        SweepConfig.load(path)
+        load_sweep(path)
 
 
 def test_what_may_change_in_a_sweep_that_was_begun() -> None:
-    before = SweepConfig.parse(GIVEN).to_dict()
+    before = parse_sweep(GIVEN).to_dict()
 
     def found(**changes: Any) -> str | None:
-        return difference(before, SweepConfig.parse(changed(**changes)).to_dict())
+        return difference(before, parse_sweep(changed(**changes)).to_dict())
 
     assert found() is None
     assert found(seeds=4) is None  # more runs change none that there are

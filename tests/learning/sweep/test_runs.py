@@ -20,9 +20,9 @@ from dexctl.exceptions import InvalidInput
 from learning.cli.sweep import Sweep
 from learning.policies import load
 from learning.sweep.cluster import ClusterError, RayPool, run_here
-from learning.sweep.config import SweepConfig
 from learning.sweep.jobs import Job, jobs, outcome
 from learning.sweep.process import LocalPool
+from learning.sweep.reading import load_sweep, parse_sweep
 from learning.sweep.worker import do
 from learning.training.run_folder import RunFolder, locked
 
@@ -93,7 +93,7 @@ def file(tmp_path: Path) -> Path:
 
 def hold(tmp_path: Path, name: str = "hold") -> Job:
     """The evaluation of a controller: the quickest job that there is."""
-    config = SweepConfig.parse(
+    config = parse_sweep(
         {
             "methods": ["rl"],
             "train": {"env": {"object": "cylinder"}},
@@ -112,7 +112,7 @@ def test_killed_and_started_again(
     rl, vge = out / "runs" / "rl-0", out / "runs" / "vge-hold-0"
     vge.mkdir(parents=True)
     (vge / "config.json").write_text("{")
-    prepared = SweepConfig.load(file)
+    prepared = load_sweep(file)
     (out / "sweep.json").write_text(json.dumps({"format": 2, **prepared.to_dict()}))
     sweep = start(file, out)
     try:
@@ -207,7 +207,7 @@ def test_controllers_are_made_for_the_axis_that_was_trained(tmp_path: Path) -> N
         "train": {"axis": "x", "object_size": 0.07},
         "evaluation": {"episodes": 2, "seconds": 1, "controllers": ["igm"]},
     }
-    job = next(jobs(SweepConfig.parse(given), tmp_path))
+    job = next(jobs(parse_sweep(given), tmp_path))
     do(job)
     result = outcome(job.folder).result
     assert result is not None
@@ -250,7 +250,7 @@ def test_on_a_ray_cluster(file: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     poisoned = out / "runs" / "vge-hold-0"
     poisoned.mkdir(parents=True)
     (poisoned / "config.json").write_text("{")
-    prepared = SweepConfig.load(file, steps=100)
+    prepared = load_sweep(file, steps=100)
     (out / "sweep.json").write_text(json.dumps({"format": 2, **prepared.to_dict()}))
     cluster = start_ray()
     try:
