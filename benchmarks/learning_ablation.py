@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from common import FULL_TURN, Settings, earlier, over_seeds, progress, settings, share, write
-
-from dexctl.exceptions import UnknownName
-from learning import policies
-from learning.envs import EnvConfig
-from learning.evaluate import Protocol, evaluate
-from learning.exploration.guide import GuidanceConfig
 from learning.recipes import recipe
 from learning.settings import TrainConfig
+
+from dexctl.exceptions import UnknownName
+from dexctl.settings import changed
+from learning import policies
+from learning.envs import EnvConfig
+from learning.evaluation import Protocol, evaluate
+from learning.exploration.guide import GuidanceConfig
 
 OBJECT = "cylinder"
 
@@ -126,6 +127,7 @@ def config(name: str, seed: int, given: Options) -> TrainConfig:
 def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
     """Train a variant, or go on; evaluate its policy."""
     from learning.train import read_config, resume, train
+
     from learning.training.run_folder import RunFolder
 
     folder = given.runs / f"{name}-{seed}"
@@ -138,8 +140,10 @@ def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
     except KeyboardInterrupt:  # its checkpoint is saved; the pool would give it the next training
         os._exit(130)
     policy = policies.load(found["policy"])
-    protocol = Protocol(episodes=given.trials, seconds=given.seconds, threads=1)
-    alone = evaluate(policy, OBJECT, protocol)
+    protocol = changed(
+        Protocol(), {"episodes": given.trials, "seconds": given.seconds, "threads": 1}
+    )
+    alone = evaluate(policy, protocol, object=OBJECT)
     return {
         "variant": name,
         "training_seed": seed,
