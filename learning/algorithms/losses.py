@@ -42,6 +42,7 @@ def cloning_weight(
         return imitation_weight(guide_value, guided), 1.0
     scale = policy_value.abs().mean().clamp(min=1e-3).detach()
     if kind == "better":
+        assert guide_value is not None
         guided = guided * (guide_value > policy_value)
     return guided.detach(), scale
 

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
 
-from dexctl.exceptions import InvalidInput, UnknownName  # noqa: E402
-from learning.algorithms import (  # noqa: E402
+import torch
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from learning.algorithms import (
     Algorithm,
     Cloning,
     PPOConfig,

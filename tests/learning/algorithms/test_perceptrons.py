@@ -6,10 +6,12 @@ from itertools import pairwise
 
 import pytest
 
-torch = pytest.importorskip("torch")
-from torch import nn  # noqa: E402
+pytest.importorskip("torch")
 
-from learning.algorithms.perceptrons import Perceptrons, product  # noqa: E402
+import torch
+from torch import nn
+
+from learning.algorithms.perceptrons import Perceptrons, product
 
 
 def made(count: int, widths: tuple[int, ...], layer_norm: bool = False) -> Perceptrons:

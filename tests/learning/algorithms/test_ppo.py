@@ -7,19 +7,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
 
-from dexctl.exceptions import InvalidInput  # noqa: E402
-from learning.algorithms import PPO, PPOConfig, Transitions  # noqa: E402
-from learning.algorithms.losses import (  # noqa: E402
+import torch
+
+from dexctl.exceptions import InvalidInput
+from learning.algorithms import PPO, PPOConfig, Transitions
+from learning.algorithms.losses import (
     adapted_rate,
     clipped_policy_loss,
     clipped_value_loss,
     gaussian_kl,
     gaussian_log_prob,
 )
-from learning.algorithms.normalisation import Normalisation  # noqa: E402
-from learning.algorithms.rollout_buffer import advantages  # noqa: E402
+from learning.algorithms.normalisation import Normalisation
+from learning.algorithms.rollout_buffer import advantages
 
 
 def make(**options: Any) -> PPO:

@@ -7,18 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
 
-from learning.algorithms import SAC, TD3, Cloning, SACConfig, TD3Config  # noqa: E402
-from learning.algorithms.losses import (  # noqa: E402
+import torch
+
+from learning.algorithms import SAC, TD3, Cloning, SACConfig, TD3Config
+from learning.algorithms.losses import (
     cloning_weight,
     imitation_weight,
     likelihood_cloning,
     squared_cloning,
     squashed_log_prob,
 )
-from learning.algorithms.networks import gaussian, squashed_sample  # noqa: E402
-from learning.algorithms.replay import Batch  # noqa: E402
+from learning.algorithms.networks import gaussian, squashed_sample
+from learning.algorithms.replay import Batch
 
 KINDS = [(SAC, SACConfig), (TD3, TD3Config)]
 
@@ -57,9 +59,9 @@ def test_log_prob_of_a_sample_is_that_of_its_action() -> None:
     torch.manual_seed(0)
     mean, log_std = torch.randn(50, 4), 0.3 * torch.randn(50, 4) - 1.0
     action, log_prob = squashed_sample(mean, log_std, torch.randn(50, 4), True)
+    assert isinstance(log_prob, torch.Tensor)
     inside = (action.abs() < 0.99).all(dim=1)
     again = squashed_log_prob(action, mean, log_std)
-    assert isinstance(log_prob, torch.Tensor)
     assert inside.sum() > 20
     torch.testing.assert_close(log_prob[inside], again[inside], rtol=1e-3, atol=1e-3)
 
