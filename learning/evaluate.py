@@ -67,9 +67,9 @@ class Protocol:
     axis: str | tuple[float, ...] = "z"
     object_size: float | None = None
     object_mass: float = 0.1
-    noise: SensorNoise = SensorNoise()  # noqa: RUF009 (frozen)
+    noise: SensorNoise = SensorNoise()
     latency: float = 0.0
-    push: Push = Push()  # noqa: RUF009 (frozen)
+    push: Push = Push()
     substeps: int = 10
     threads: int | None = None
 
