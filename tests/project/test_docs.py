@@ -27,7 +27,7 @@ def test_snippets_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
     codes = snippets(page)
-    if any("wonik_allegro" in code for code in codes):
+    if any("DEXCTL_MENAGERIE" in code for code in codes):
         monkeypatch.setenv("DEXCTL_MENAGERIE", str(request.getfixturevalue("menagerie")))
     if any("import gymnasium" in code for code in codes):
         pytest.importorskip("gymnasium", reason="the extra 'learning' is not installed")
