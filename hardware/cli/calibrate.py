@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from rich.table import Table
 from dexctl import HandModel
 from dexctl.cli.output import columns, notes, print_json, results
 from dexctl.exceptions import InvalidInput
+from dexctl.settings import only
+from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus
@@ -27,6 +29,7 @@ from hardware.calibration import TORQUE_CONSTANT, TURN, Calibration
 from hardware.cli.options import HandOptions
 from hardware.emulator import Emulator
 from hardware.exceptions import ServoError
+from hardware.scene import EMPTY
 
 _POSES = ("zero", "upper", "lower")
 _LEAST_TRAVEL = 0.2  # less, and the two ends are one pose [rad]
@@ -114,6 +117,7 @@ class Calibrate(HandOptions):
     """Seed of the emulated signs and zeros."""
     json: bool = False
     """Print one JSON object instead of the summary."""
+    scene: Annotated[SceneConfig, only(EMPTY, "hand")] = EMPTY
 
     def run(self) -> int:
         self.check()
