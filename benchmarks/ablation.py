@@ -11,7 +11,7 @@ from common import PALMS, Settings, earlier, grid, outcome, progress, settings, 
 
 import dexctl
 from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
-from dexctl.sim import Scene
+from dexctl.sim import SceneConfig
 
 SCENES = tuple(product(("cube", "dodecahedron"), PALMS))
 Change = Callable[[CoordinatedGaitConfig], CoordinatedGaitConfig]
@@ -86,7 +86,6 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> list[list[
 def main() -> None:
     given = settings(Options, __doc__)
     hand = dexctl.hands.load("dex5")
-    scenes = {key: Scene.build(hand, *key) for key in SCENES}
     rows = earlier("ablation", given)
     done = {(row["variant"], row["object"], row["palm"]) for row in rows}
     for variant, key in product(given.variants, SCENES):
@@ -94,7 +93,8 @@ def main() -> None:
             continue
         change = VARIANTS[variant][1]
         controller = CoordinatedGait(hand, change(CoordinatedGaitConfig()))
-        trace = trials(controller, scenes[key], given.seconds, given.trials, seed=given.seed)
+        config = SceneConfig(object=(key[0],), gravity=key[1])
+        trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
         row = {"variant": variant, "object": key[0], "palm": key[1], **outcome(trace)}
         rows.append(row)
         lines = save(rows, given, say=False)

@@ -28,7 +28,7 @@ from common import (
 from dexctl import controllers, hands
 from dexctl.exceptions import DexctlError, HandModelError
 from dexctl.igm import InGraspManipulationConfig
-from dexctl.sim import Scene
+from dexctl.sim import SceneConfig
 
 OBJECTS: dict[str, dict[str, Any]] = {
     "sphere": {"object_size": 0.08, "object_mass": 0.05},
@@ -104,7 +104,8 @@ def main() -> None:
     for name, options in OBJECTS.items():
         for palm in PALMS:
             try:
-                scene = Scene.build(hand, name, palm, **options)
+                config = SceneConfig(hand="wonik_allegro", object=(name,), gravity=palm, **options)
+                (scene,) = config.scenes(hand)
                 scene.settled  # noqa: B018 (the grasp is found here)
             except DexctlError as error:
                 progress(f"{name}, palm {palm}: {error}")
@@ -112,7 +113,7 @@ def main() -> None:
                 continue
             for title, (kind, changes) in CONTROLLERS.items():
                 controller = controllers.make(kind, hand, **changes)
-                trace = trials(controller, scene, given.seconds, given.trials, seed=given.seed)
+                trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
                 row = {
                     "object": name,
                     "width_m": scene.object_width,

@@ -24,8 +24,7 @@ from dexctl.controller import Controller
 from dexctl.files import write_text
 from dexctl.report.machine import machine
 from dexctl.rotations import inverse, multiply
-from dexctl.sim import BatchSimulator, Scene, Tactile, Trace, run
-from dexctl.sim.trial import DROP_DISTANCE
+from dexctl.sim import Scene, SceneConfig, Simulation, Trace, run
 from dexctl.statistics import bootstrap, wilson
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -132,18 +131,17 @@ def engines() -> list[str]:
 
 def trials(
     controller: Controller,
-    scene: Scene,
+    config: SceneConfig,
     seconds: float,
     count: int,
     *,
     seed: int = 0,
-    tactile: Tactile | None = None,
     parameters: dict[str, float] | None = None,
 ) -> Trace:
     """``count`` trials by the protocol of every measurement (see `dexctl.sim.run`)."""
-    with BatchSimulator(scene, count, tactile=tactile) as sim:
+    with Simulation(config, count, seed, hand=controller.hand) as sim:
         if parameters:
-            sim.set_parameters(**parameters)
+            sim.sim.set_parameters(**parameters)
         sim.reset(seed)
         controller.reset(seed)
         return run(controller, sim, seconds)
@@ -253,14 +251,9 @@ def _before_drop(trace: Trace) -> dict[str, float] | None:
 
 
 def _broke_down(trace: Trace) -> int:
-    """Trials that ended because the simulation broke down, not because the object fell.
-
-    Later on an object that fell far counts as diverged too.
-    """
+    """Trials that ended because the simulation broke down, not because the object fell."""
     first = np.minimum(trace.held.sum(axis=0), len(trace.held) - 1)
-    away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
-    index = np.arange(len(first))
-    return int((trace.diverged[first, index] & (away[first, index] <= DROP_DISTANCE)).sum())
+    return int(trace.diverged[first, np.arange(len(first))].sum())
 
 
 def percent(part: dict[str, Any]) -> str:

@@ -72,7 +72,7 @@ def closed_loop(controller: Controller, scene: Scene, given: Options) -> dict[st
     ):
         sim.reset(given.seed)
         controller.reset(given.seed)
-        states = np.zeros((count, sim.substeps, sim.save().physics.shape[1]))
+        states = np.zeros((count, sim.substeps, sim.save()["physics"].shape[1]))
         sensordata = np.zeros((count, sim.substeps, model.nsensordata))
         state = sim.read()
         change = np.zeros_like(state.q_target)
@@ -88,7 +88,7 @@ def closed_loop(controller: Controller, scene: Scene, given: Options) -> dict[st
         for i in range(given.warm_up + given.steps):
             acting = timed(act)
             control = controls(scene, sim.write(state.q_target + change), sim.substeps)
-            now = sim.save().physics
+            now = sim.save()["physics"]
 
             def physics(start: np.ndarray = now, control: np.ndarray = control) -> None:
                 pool.rollout(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from common import PALMS, Figure, Settings, outcome, percent, progress, settings, trials, write
 
 import dexctl
-from dexctl.sim import Scene
+from dexctl.sim import SceneConfig
 
 TARGETS = {"cube": 0.8, "cylinder": 1.0, "sphere": 1.0}  # [rad]
 GOAL, FLOOR = 0.95, 0.85
@@ -33,8 +33,8 @@ def main() -> None:
     for name, target in TARGETS.items():
         for palm in PALMS:
             progress(f"{name}, palm {palm}")
-            scene = Scene.build(controller.hand, name, palm)
-            trace = trials(controller, scene, given.seconds, given.trials, seed=given.seed)
+            config = SceneConfig(object=(name,), gravity=palm)
+            trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
             row = {"object": name, "palm": palm, **outcome(trace, target)}
             rows.append(row)
             figures.append(

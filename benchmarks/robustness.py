@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 import dexctl
 from dexctl.controller import Controller
 from dexctl.gait import CoordinatedGait
-from dexctl.sim import Scene, Tactile
+from dexctl.sim import SceneConfig, Sensing
 from dexctl.state import Floats, GraspState
 
 
@@ -36,29 +36,29 @@ class Condition:
 
     Attributes:
         text: for people.
-        tactile: what the fingertips feel.
+        sensing: how the hand senses.
         parameters: of the physics, by name.
         tracked: whether the controller knows the object's pose.
     """
 
     text: str
-    tactile: Tactile = field(default_factory=Tactile)
+    sensing: Sensing = field(default_factory=Sensing)
     parameters: dict[str, float] = field(default_factory=dict)
     tracked: bool = True
 
 
 CONDITIONS: dict[str, Condition] = {
     "standard": Condition("standard (friction 1.0, 0.1 kg, exact touch)"),
-    "position_1mm": Condition("contact position +-1 mm", Tactile(position_noise=0.001)),
-    "position_2mm": Condition("contact position +-2 mm", Tactile(position_noise=0.002)),
-    "position_3mm": Condition("contact position +-3 mm", Tactile(position_noise=0.003)),
-    "normal": Condition("contact normal +-0.1 rad", Tactile(normal_noise=0.1)),
-    "force": Condition("force +-0.5 N (20 % of the grip)", Tactile(force_noise=0.5)),
+    "position_1mm": Condition("contact position +-1 mm", Sensing(position_noise=0.001)),
+    "position_2mm": Condition("contact position +-2 mm", Sensing(position_noise=0.002)),
+    "position_3mm": Condition("contact position +-3 mm", Sensing(position_noise=0.003)),
+    "normal": Condition("contact normal +-0.1 rad", Sensing(normal_noise=0.1)),
+    "force": Condition("force +-0.5 N (20 % of the grip)", Sensing(force_noise=0.5)),
     "all_noise": Condition(
         "all three: 2 mm, 0.1 rad, 0.5 N",
-        Tactile(position_noise=0.002, normal_noise=0.1, force_noise=0.5),
+        Sensing(position_noise=0.002, normal_noise=0.1, force_noise=0.5),
     ),
-    "latency": Condition("touch 0.05 s late", Tactile(latency=0.05)),
+    "latency": Condition("sensors 0.05 s late", Sensing(sensor_latency=0.05)),
     "friction_0.6": Condition("friction 0.6", parameters={"friction": 0.6}),
     "friction_0.8": Condition("friction 0.8", parameters={"friction": 0.8}),
     "friction_1.2": Condition("friction 1.2", parameters={"friction": 1.2}),
@@ -67,7 +67,7 @@ CONDITIONS: dict[str, Condition] = {
     "untracked": Condition("object not tracked", tracked=False),
     "untracked_noise": Condition(
         "object not tracked, all three noises, 0.05 s late",
-        Tactile(position_noise=0.002, normal_noise=0.1, force_noise=0.5, latency=0.05),
+        Sensing(position_noise=0.002, normal_noise=0.1, force_noise=0.5, sensor_latency=0.05),
         tracked=False,
     ),
 }
@@ -103,7 +103,6 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> list[list[
 def main() -> None:
     given = settings(Options, __doc__)
     hand = dexctl.hands.load("dex5")
-    scenes = {key: Scene.build(hand, *key) for key in SCENES}
     rows = earlier("robustness", given)
     done = {(row["condition"], row["object"], row["palm"]) for row in rows}
     for chosen, key in product(given.conditions, SCENES):
@@ -113,11 +112,10 @@ def main() -> None:
         gait = CoordinatedGait(hand)
         trace = trials(
             gait if condition.tracked else Untracked(gait),
-            scenes[key],
+            SceneConfig(object=(key[0],), gravity=key[1], sensing=condition.sensing),
             given.seconds,
             given.trials,
             seed=given.seed,
-            tactile=condition.tactile,
             parameters=condition.parameters,
         )
         row = {"condition": chosen, "object": key[0], "palm": key[1], **outcome(trace)}

@@ -70,10 +70,10 @@ def main() -> None:
         for _ in range(20):  # the disturbed grasps come to rest
             sim.step()
         start = sim.save()
-        wander = rng.normal(0, 0.003, (given.steps, *start.q_target.shape)).cumsum(axis=0)
+        wander = rng.normal(0, 0.003, (given.steps, *start["q_target"].shape)).cumsum(axis=0)
         targets, held = [], []
         for change in wander:
-            targets.append(sim.write(start.q_target + change))
+            targets.append(sim.write(start["q_target"] + change))
             held.append(controls(scene, targets[-1], sim.substeps))
 
         def ours() -> None:
@@ -84,8 +84,8 @@ def main() -> None:
 
         sides = {
             "simulator": ours,
-            "bare_rollout": bare(scene.model, start.physics, held),
-            "bare_rollout_without_sensors": bare(untouched.compile(), start.physics, held),
+            "bare_rollout": bare(scene.model, start["physics"], held),
+            "bare_rollout_without_sensors": bare(untouched.compile(), start["physics"], held),
         }
         rows = []
         for i in range(given.rounds + 1):

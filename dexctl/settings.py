@@ -68,7 +68,7 @@ def _read_vector(words: list[str]) -> str | tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != 3 or not np.isfinite(numbers).all():
-        raise ValueError(f"{words[0]!r} is neither a name nor three finite numbers x,y,z")
+        raise ValueError(f"{words[0]!r} is neither a name nor three finite numbers")
     return numbers
 
 

@@ -1,77 +1,110 @@
-"""``dexctl check-grasp``: how good the settled grasp of an object is."""
+"""``dexctl check-grasp``: how good grasps are, settled ones or those of a file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from dexctl.cli.output import notes, print_json, results
-from dexctl.cli.parsing import check_count, check_seconds
-from dexctl.cli.trials import CONTROL_PERIOD, SceneOptions
+from dexctl.cli.checks import check_count, check_seconds, make_folder
+from dexctl.cli.output import notes, print_json, progress, results, table, to_json
+from dexctl.cli.parsing import Switch
+from dexctl.cli.trials import check_viz, describe, scene_of, simulation
 from dexctl.exceptions import InvalidInput, SimulationError
+from dexctl.settings import NESTED
+from dexctl.sim import GraspStates, SceneConfig
 
 if TYPE_CHECKING:
-    from dexctl.sim import BatchSimulator, Scene
+    from dexctl.sim import Simulation
     from dexctl.state import GraspState
+
+PICTURES = 16  # drawing takes a quarter of a second each
 
 
 @dataclass(kw_only=True)
-class CheckGrasp(SceneOptions):
-    """Settle a grasp and say how good it is.
+class CheckGrasp:
+    """Say how good a grasp is: the settled one, disturbed ones, or those of a file.
 
     Reports the contacts, force closure, the qualities of the grasp map, the residual of the
     stability QP, the forces that hold the object's weight inside the friction cones, and whether
-    the object stays when the set-points are held. One grasp is taken as it settles; several get
-    set-points disturbed by N(0, 0.02 rad). Exits with 1 where a grasp fails a check.
+    the object stays when the set-points are held. Exits with 1 where a grasp fails a check.
     """
 
-    num_envs: int = 1
-    """How many grasps."""
+    num_envs: int | None = None
+    """How many grasps, disturbed where they are several; of a file the first so many. None: one,
+    as it settles, or all of the file."""
     seconds: float = 2.0
     """How long the dynamic check holds the set-points [s]."""
     seed: int = 0
     """Seed of the first grasp's disturbance; grasp i has seed + i."""
-    json: bool = False
+    out: Path | None = None
+    """Folder for check-grasp.json and pictures of the first 16 grasps (wants an OpenGL)."""
+    json: Switch = False
     """Print one JSON object instead of the table."""
+    scene: Annotated[SceneConfig, NESTED] = field(default_factory=SceneConfig)
 
     def run(self) -> int:
-        check_count("--num-envs", self.num_envs)
-        check_seconds(self.seconds, CONTROL_PERIOD)
-        scene = self.build_scene()
-        from dexctl.sim import BatchSimulator
-
-        disturbance = 0.02 if self.num_envs > 1 else 0.0
-        if not self.json:
-            notes().print(f"holding the set-points for {self.seconds:g} s", style="dim")
-        with BatchSimulator(scene, self.num_envs, CONTROL_PERIOD, disturbance=disturbance) as sim:
-            self.set_friction(sim)
-            sim.reset(self.seed)
+        if self.num_envs is not None:
+            check_count("--num-envs", self.num_envs)
+        check_seconds(self.seconds, self.scene.control_period)
+        if self.out is not None:
+            check_viz("dexctl check-grasp --out")
+        folder = None if self.out is None else make_folder(self.out)
+        states = self._states()
+        count = self.num_envs or (1 if states is None else len(states))
+        config = replace(self.scene, initial_states=None)
+        if states is not None or count == 1:
+            config = replace(config, disturbance=0.0)
+        with simulation(config, count, self.seed) as sim:
+            if states is not None:
+                sim.place(states, np.arange(count))
+            if not self.json:
+                notes().print(f"holding the set-points for {self.seconds:g} s", style="dim")
             try:
-                if self.num_envs > 1:  # the contacts are those of the undisturbed grasp until then
+                if states is None and count > 1:  # until then they touch as if undisturbed
                     grasp_at_rest(sim)
-                found = self._check(scene, sim)
+                found = self._check(sim)
             except InvalidInput as error:  # not the user's input any more
                 raise SimulationError(f"the check failed: {error}") from error
+            if folder is not None:
+                self._write(folder, sim, found)
         if self.json:
             print_json(found)
         else:
             self._print(found)
         return 0 if all(found["static"]["stable"]) and all(found["dynamic"]["stable"]) else 1
 
-    def _check(self, scene: Scene, sim: BatchSimulator) -> dict[str, Any]:
+    def _states(self) -> GraspStates | None:
+        """Those of the file that are of the object, as many as are wanted."""
+        if self.scene.initial_states is None or len(self.scene.object) != 1:
+            return None
+        states, name = GraspStates.load(self.scene.initial_states), self.scene.object[0]
+        if name not in states.object:
+            known = ", ".join(sorted(set(states.object.tolist())))
+            raise InvalidInput(f"--initial-states has none of the object {name!r}, only of {known}")
+        mine = states.of(name)
+        if self.num_envs is not None and self.num_envs > len(mine):
+            raise InvalidInput(
+                f"--num-envs is {self.num_envs}; --initial-states has {len(mine)} of the object "
+                f"{name!r}"
+            )
+        return mine
+
+    def _check(self, sim: Simulation) -> dict[str, Any]:
         from dexctl import grasp
 
-        hand, state = scene.hand, sim.read()
-        origin = state.object_position
+        scene, hand, state = scene_of(sim), sim.hand, sim.state
+        origin, friction = state.object_position, sim.sim.friction[:, None]
         assert origin is not None  # the simulator knows where the object is
         contacts = (state.contact_position, state.contact_normal, state.in_contact, origin)
         weight = np.concatenate([scene.object_mass * scene.gravity, np.zeros(3)])
         effort = hand.effort if np.isfinite(hand.effort).all() else None
+        cones = np.broadcast_to(friction, state.in_contact.shape)
         static = grasp.check_static(
             *contacts,
-            self.friction,
+            cones,
             external_wrench=weight,
             jacobian=hand.contact_jacobian(state.q, state.contact_position),
             effort=effort,
@@ -81,13 +114,13 @@ class CheckGrasp(SceneOptions):
         assert static.forces is not None  # a wrench was given
         return {
             "command": "check-grasp",
-            **self.describe(scene),
-            "grasps": self.num_envs,
+            **describe(self.scene, scene),
+            "grasps": sim.num_envs,
             "seed": self.seed,
             "fingers": _fingers(hand.fingertip_names, state),
             "contacts": static.contacts,
             "force_closure": static.closure,
-            "epsilon_quality": grasp.epsilon_quality(*contacts, self.friction),
+            "epsilon_quality": grasp.epsilon_quality(*contacts, cones),
             "smallest_singular_value": grasp.smallest_singular_value(*contacts),
             "isotropy": grasp.isotropy(*contacts),
             "stability_residual": solution.residual,
@@ -106,29 +139,38 @@ class CheckGrasp(SceneOptions):
             },
         }
 
-    def _print(self, found: dict[str, Any]) -> None:
-        from rich.table import Table
+    def _write(self, folder: Path, sim: Simulation, found: dict[str, Any]) -> None:
+        """The figures, and a picture of each grasp as it was before the check."""
+        from dexctl.files import write_text
+        from dexctl.report.film import Moment
+        from dexctl.sim import Recorder
 
-        console, many = results(), self.num_envs > 1
-        what = f"{self.hand} holds a {self.object}, {self.palm}"
-        count = f": {self.num_envs} disturbed grasps, median (lowest to highest)" if many else ""
+        console, paths = notes(), [folder / "check-grasp.json"]
+        write_text(paths[0], to_json(found) + "\n")
+        qpos, touch = sim.sim.qpos, sim.state.in_contact
+        try:
+            recorder = Recorder(scene_of(sim), None)
+        except SimulationError as error:
+            console.print(f"no pictures: {error}", markup=False)
+        else:
+            with recorder, progress(console) as bar:
+                for i in bar.track(range(min(len(qpos), PICTURES)), description="drawing"):
+                    recorder(Moment(0.0, qpos[i], touch[i]))
+                    paths.append(folder / f"grasp_{i}.png")
+                    recorder.picture(paths[-1])
+        console.print(f"in {folder}: {', '.join(path.name for path in paths)}")
+
+    def _print(self, found: dict[str, Any]) -> None:
+        console, many = results(), found["grasps"] > 1
+        what = f"{self.scene.hand} holds a {self.scene.object[0]}, {self.scene.palm}"
+        kind = "disturbed grasps" if self.scene.initial_states is None else "grasps of the file"
+        count = f": {found['grasps']} {kind}, median (lowest to highest)" if many else ""
         console.print(f"[bold]{what}{count}[/bold]")
         if not many:
-            fingers = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
-            for heading in ("fingertip", r"force \[N]", r"position \[m]", "normal"):
-                fingers.add_column(heading, justify="right" if "force" in heading else "left")
-            for finger in found["fingers"]:
-                touching = finger["in_contact"][0]
-                fingers.add_row(
-                    finger["name"],
-                    f"{finger['force_n'][0]:.2f}" if touching else "no touch",
-                    _vector(finger["position_m"][0], 3) if touching else "",
-                    _vector(finger["normal"][0], 2) if touching else "",
-                )
-            console.print(fingers, "")
+            console.print(_finger_table(found["fingers"]), "")
         static, dynamic = found["static"], found["dynamic"]
         limits = "and torque limits" if static["torque_limits"] else "(torque limits unknown)"
-        table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
+        shown = table()
         for label, values, digits in (
             ("fingertips in touch", found["contacts"], 0),
             ("force closure", found["force_closure"], None),
@@ -142,13 +184,13 @@ class CheckGrasp(SceneOptions):
             (rf"moves when held for {self.seconds:g} s \[mm]", 1e3 * dynamic["displacement_m"], 1),
             ("dynamic check", dynamic["stable"], None),
         ):
-            table.add_row(label, _spread(np.asarray(values), digits))
-        console.print(table)
+            shown.add_row(label, _spread(np.asarray(values), digits))
+        console.print(shown)
 
 
-def grasp_at_rest(sim: BatchSimulator, seconds: float = 0.5) -> None:
+def grasp_at_rest(sim: Simulation, seconds: float = 0.5) -> None:
     """Hold the set-points until the fingers are where these take them."""
-    q_target = sim.read().q_target
+    q_target = sim.state.q_target
     for _ in range(round(seconds / sim.control_period)):
         sim.write(q_target)
         sim.step()
@@ -165,6 +207,20 @@ def _fingers(names: tuple[str, ...], state: GraspState) -> list[dict[str, Any]]:
         }
         for i, name in enumerate(names)
     ]
+
+
+def _finger_table(fingers: list[dict[str, Any]]) -> Any:
+    """Where each finger of a single grasp touches, and how hard."""
+    shown = table("fingertip", "force [N]", "position [m]", "normal", right=("force [N]",))
+    for finger in fingers:
+        touching = finger["in_contact"][0]
+        shown.add_row(
+            finger["name"],
+            f"{finger['force_n'][0]:.2f}" if touching else "no touch",
+            _vector(finger["position_m"][0], 3) if touching else "",
+            _vector(finger["normal"][0], 2) if touching else "",
+        )
+    return shown
 
 
 def _spread(values: np.ndarray, digits: int | None) -> str:

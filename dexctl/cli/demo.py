@@ -6,31 +6,38 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from dexctl.cli.output import notes, print_json, progress, results
-from dexctl.cli.parsing import check_seconds, make_folder
+from dexctl import controllers
+from dexctl.cli.checks import check_seconds, make_folder
+from dexctl.cli.command_line import command_line
+from dexctl.cli.output import notes, print_json, progress, results, table
+from dexctl.cli.parsing import Switch
 from dexctl.cli.trials import (
-    CONTROL_PERIOD,
-    SceneOptions,
     captions,
     check_viz,
+    describe,
     make_controller,
     run_trials,
+    scene_of,
+    simulation,
 )
 from dexctl.exceptions import RoomShadowed, SimulationError, UnknownName
+from dexctl.settings import NESTED, Vector
+from dexctl.sim import SceneConfig
+from dexctl.validation import unit_axis
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from dexctl.controller import Controller
     from dexctl.report.demo import Trial
-    from dexctl.sim import Scene
+    from dexctl.sim import Scene, Simulation
     from dexctl.sim.record import Recorder
 
-CONTROLLERS = ("igm", "switch", "gait", "coordinated", "learned")
+CONTROLLERS = ("igm", "switch", "gait", "coordinated", LEARNED)
 KEY_FRAMES, PICTURE_FRAMES = 4, 6
 _NAMED = ("report.html", "picture.png", "demo.mp4")
 FPS, VIDEO_SIZE, STILL_SIZE = 15.0, (640, 480), (800, 600)
@@ -39,7 +46,7 @@ AFTER_DROP = 1.5  # the film goes on for so long after a drop [s]
 
 
 @dataclass(kw_only=True)
-class Demo(SceneOptions):
+class Demo:
     """Turn a cube with each controller; table, video and report.
 
     In-grasp manipulation, contact switching, gaiting with a random finger, the coordinated gait
@@ -53,21 +60,27 @@ class Demo(SceneOptions):
     """Folder for the files."""
     seconds: float = 10.0
     """Simulated time of each controller [s]."""
+    axis: Vector = "z"
+    """Of the hand, about which the object is turned: x, y, z, -x, -y, -z, or x,y,z."""
     seed: int = 0
     """Seed of the trials."""
-    no_video: bool = False
+    no_video: Switch = False
     """Make no video; key frames are drawn all the same."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the table."""
+    scene: Annotated[SceneConfig, NESTED] = field(default_factory=SceneConfig)
 
     def run(self) -> int:
-        check_seconds(self.seconds, CONTROL_PERIOD)
+        check_seconds(self.seconds, self.scene.control_period)
+        unit_axis(self.axis)
         check_viz("dexctl demo")
         folder = make_folder(self.out)
-        scene = self.build_scene()
-        work = _Work(self, folder, scene)
+        with simulation(self.scene, 1, self.seed) as sim:
+            return self._run(_Work(self, folder, scene_of(sim)), sim)
+
+    def _run(self, work: _Work, sim: Simulation) -> int:
         try:
-            work.simulate()
+            work.simulate(sim)
             if not self.json:
                 work.print_table()
             work.draw_key_frames()
@@ -85,7 +98,7 @@ class Demo(SceneOptions):
             named = [path.name for path in work.files if path.name in _NAMED]
             frames = len(work.files) - len(named)
             also = f" and {frames} key frames" if frames else ""
-            results().print(f"\nin {folder}: {', '.join(named)}{also}", soft_wrap=True)
+            results().print(f"\nin {work.folder}: {', '.join(named)}{also}", soft_wrap=True)
         return 0
 
 
@@ -104,16 +117,14 @@ class _Work:
     drawing_time: float = 0.1  # of one picture [s]
     document: str = ""
 
-    def simulate(self) -> None:
+    def simulate(self, sim: Simulation) -> None:
         from dexctl.report.demo import Trial
         from dexctl.report.film import Film
         from dexctl.report.summary import summarise
-        from dexctl.sim import BatchSimulator
 
         demo = self.demo
-        with BatchSimulator(self.scene, None, CONTROL_PERIOD) as sim, progress(self.console) as bar:
-            demo.set_friction(sim)
-            for name, controller in self._controllers():
+        with progress(self.console) as bar:
+            for name, controller in self._controllers(sim):
                 task = bar.add_task(f"simulating {name}", total=demo.seconds)
                 film = Film()
                 trace = run_trials(
@@ -121,20 +132,30 @@ class _Work:
                     sim,
                     demo.seconds,
                     demo.seed,
+                    axis=demo.axis,
                     observers=[film],
                     progress=lambda now, task=task: bar.update(task, completed=now),
-                )
+                ).trial(0)
                 self.trials[name] = Trial(name, trace, summarise(trace), film)
 
-    def _controllers(self) -> Iterator[tuple[str, Controller]]:
+    def _controllers(self, sim: Simulation) -> Iterator[tuple[str, Controller]]:
         """Each controller by name; the learned one only where it knows this hand."""
+        config, axis = self.demo.scene, self.demo.axis
         for name in CONTROLLERS:
             try:
-                yield name, make_controller(name, self.scene)
+                controller = make_controller(name, sim.hand, config, axis)
             except (SimulationError, UnknownName, RoomShadowed) as error:
-                if name != "learned":
+                if name != controllers.POLICIES:
                     raise
                 self.console.print(f"nothing learned: {error}", markup=False)
+                continue
+            if np.isclose(controller.control_period, config.control_period):
+                yield name, controller
+            else:
+                self.console.print(
+                    f"nothing learned: the policy has a control period of "
+                    f"{controller.control_period:g} s, not {config.control_period:g} s"
+                )
 
     @property
     def best(self) -> Trial:
@@ -142,24 +163,21 @@ class _Work:
         return list(self.trials.values())[-1]
 
     def print_table(self) -> None:
-        from rich.markup import escape
-        from rich.table import Table
-
+        from dexctl.report import words
         from dexctl.report.demo import HEADINGS, row
 
         demo = self.demo
         console = results()
         console.print(
-            f"[bold]{demo.hand} turns a {demo.object}, {demo.palm}: one trial of "
-            f"{demo.seconds:g} s each, seed {demo.seed}[/bold]"
+            f"[bold]{demo.scene.hand} turns a {self.scene.object} {words.about(demo.axis)}, "
+            f"{demo.scene.palm}: one trial of {demo.seconds:g} s each, seed {demo.seed}[/bold]",
+            soft_wrap=True,
         )
-        table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
-        for i, lines in enumerate(HEADINGS):
-            justify = "right" if i else "left"
-            table.add_column(escape("\n".join(lines)), justify=justify, no_wrap=True)
+        first, *others = ("\n".join(lines) for lines in HEADINGS)
+        shown = table(first, *others, right=others, gap=1, wrap=False)
         for trial in self.trials.values():
-            table.add_row(*row(trial))
-        console.print(table)
+            shown.add_row(*row(trial))
+        console.print(shown)
 
     def draw_key_frames(self) -> None:
         """Stills for the report; where there is no OpenGL, says how to get one and draws none."""
@@ -202,12 +220,14 @@ class _Work:
 
         self.console.print("writing the report", style="dim")
         demo, path = self.demo, self.folder / "report.html"
-        setting = {**demo.describe(self.scene), "seconds": demo.seconds, "seed": demo.seed}
         document = build(
             self.trials,
-            setting=setting,
-            control_period=CONTROL_PERIOD,
-            command=demo.command_line("demo"),
+            config=demo.scene,
+            scene=self.scene,
+            axis=demo.axis,
+            seconds=demo.seconds,
+            seed=demo.seed,
+            command=command_line(demo, "demo"),
             machine=machine(),
             remarks=remarks,
         )
@@ -216,7 +236,7 @@ class _Work:
         self.files.append(path)
         if self.stills:
             trial = self.best
-            title = f"{demo.hand} turning a {demo.object}: {title_of(trial.name)}"
+            title = f"{demo.scene.hand} turning a {self.scene.object}: {title_of(trial.name)}"
             path = self.folder / "picture.png"
             write_bytes(path, compose(trial.trace, self.stills, title))
             self.files.append(path)
@@ -257,9 +277,9 @@ class _Work:
 
         return {
             "command": "demo",
-            **self.demo.describe(self.scene),
+            **describe(self.demo.scene, self.scene),
+            "axis": unit_axis(self.demo.axis),
             "seconds": self.demo.seconds,
-            "control_period_s": CONTROL_PERIOD,
             "seed": self.demo.seed,
             "controllers": {name: t.summary.as_dict() for name, t in self.trials.items()},
             "files": [str(path) for path in self.files],

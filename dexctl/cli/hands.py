@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dexctl import hands
+from dexctl.cli.parsing import Switch
 
 
 @dataclass(kw_only=True)
@@ -21,27 +22,24 @@ class Hands:
     downloads nothing.
     """
 
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the table."""
 
     def run(self) -> int:
-        from dexctl.cli.output import print_json, results
+        from dexctl.cli.output import print_json, results, table
 
         found = {name: describe(name) for name in hands.names()}
         if self.json:
             print_json({"hands": found})
             return 0
-        from rich.table import Table
-
-        table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
-        for heading in ("hand", "fingers", "joints", "files", "description"):
-            table.add_column(
-                heading, justify="right" if heading in ("fingers", "joints") else "left"
-            )
+        numbers = ("fingers", "joints")
+        listed = table("hand", *numbers, "files", "description", right=numbers)
         for name, about in found.items():
             joints = "?" if about["joints"] is None else str(about["joints"])
-            table.add_row(name, str(about["fingers"]), joints, about["files"], about["description"])
-        results().print(table)
+            listed.add_row(
+                name, str(about["fingers"]), joints, about["files"], about["description"]
+            )
+        results().print(listed)
         return 0
 
 

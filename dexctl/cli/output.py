@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -23,22 +23,6 @@ def results() -> Console:
     return Console(highlight=False)
 
 
-def facts(rows: Iterable[tuple[str, str]]) -> Table:
-    """A table of what, and its value."""
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
-    for row in rows:
-        table.add_row(*map(escape, row))
-    return table
-
-
-def columns(headings: Sequence[str], *, left: Container[str] = ()) -> Table:
-    """A table without rows yet; numbers, flush right, but for the columns named in ``left``."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in headings:
-        table.add_column(escape(heading), justify="left" if heading in left else "right")
-    return table
-
-
 def print_json(result: Mapping[str, Any]) -> None:
     """Exactly one JSON object on stdout."""
     print(to_json(result))
@@ -47,6 +31,30 @@ def print_json(result: Mapping[str, Any]) -> None:
 def to_json(result: Mapping[str, Any]) -> str:
     """As JSON text; arrays become lists, and what is not finite becomes null."""
     return json.dumps(_plain(result), indent=2, allow_nan=False)
+
+
+def table(*headings: str, right: Collection[str] = (), gap: int = 3, wrap: bool = True) -> Table:
+    """A table without lines; without headings it has no line of them.
+
+    Args:
+        headings: plain text, a column each.
+        right: those whose columns are flush right.
+        gap: between columns [letters].
+        wrap: whether cells may become several lines where the terminal is narrow.
+    """
+    made = Table(box=None, show_header=bool(headings), pad_edge=False, padding=(0, gap, 0, 0))
+    for heading in headings:
+        justify = "right" if heading in right else "left"
+        made.add_column(escape(heading), justify=justify, no_wrap=not wrap)
+    return made
+
+
+def facts(rows: Iterable[tuple[str, str]]) -> Table:
+    """A table of what, and its value."""
+    made = table()
+    for row in rows:
+        made.add_row(*map(escape, row))
+    return made
 
 
 def progress(console: Console) -> Progress:

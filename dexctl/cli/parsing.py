@@ -1,21 +1,39 @@
-"""From arguments to a command, and the checks that options of several commands share."""
+"""From arguments to a command.
+
+A command is a dataclass, and the configurations nested in it are its options. Their booleans are
+pairs, ``--overlap`` and ``--no-overlap``; a `Switch` of the command itself is ``--json`` alone. A
+command class may have two things more:
+
+- ``short: ClassVar[Mapping[str, str]]``: other spellings of options, ``{"--method":
+  "--guidance.method"}``;
+- a classmethod ``defaults(arguments)``: the command whose values hold where ``arguments`` say
+  nothing, for those whose defaults depend on another option.
+"""
 
 from __future__ import annotations
 
 import io
-import math
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr
-from pathlib import Path
-from typing import TypeVar
+from types import NoneType
+from typing import Annotated, Any, TypeVar, get_args
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from dexctl.exceptions import InvalidInput
 
 C = TypeVar("C")
+Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+"""A boolean of a command that is False until it is given, without a ``--no-`` beside it."""
+
 _BORDER = "╭╮╰╯│─ "
+_HELP = ("-h", "--help")
+_DIRECTION = re.compile(r"-([xyz]|[\d.].*,.*)")  # a value that looks like an option: -z, -1,0,0
+NONE = "none"
+"""What is typed for an option that may be none."""
 
 
 def parse(kind: type[C], title: str, arguments: Sequence[str]) -> C | None:
@@ -23,23 +41,100 @@ def parse(kind: type[C], title: str, arguments: Sequence[str]) -> C | None:
 
     Raises:
         InvalidInput: they are not right; one line, where tyro draws a box.
+        UnknownName, InvalidInput: a configuration refuses a value.
     """
+    short: Mapping[str, str] = getattr(kind, "short", {})
+    words = _spelled_out(arguments, short)
+    defaults = defaults_of(kind, words)
     box = io.StringIO()
     try:
         with redirect_stderr(box):
             return tyro.cli(
                 kind,
                 prog=title,
-                args=list(arguments),
-                config=(tyro.conf.FlagCreatePairsOff,),
+                args=words,
+                default=tyro.MISSING_NONPROP if defaults is None else defaults,
+                registry=_REGISTRY,
             )
     except SystemExit as stop:
         if not stop.code:
+            if short:
+                print("short:", *(f"  {a}  is  {b}" for a, b in short.items()), sep="\n")
             return None
         raise InvalidInput(f"{_one_line(box.getvalue())} (see {title} --help)") from None
     finally:
         if sys.exc_info()[0] is None:
             sys.stderr.write(box.getvalue())  # a warning, if anything
+
+
+def defaults_of(kind: Any, words: Sequence[str]) -> Any:
+    """The command whose values hold where ``words`` say nothing; None: those of its fields."""
+    if not hasattr(kind, "defaults"):
+        return None
+    try:
+        return kind.defaults(list(words))
+    except InvalidInput:
+        if any(word in _HELP for word in words):
+            return kind.defaults([])
+        raise
+
+
+def _spelled_out(arguments: Sequence[str], short: Mapping[str, str]) -> list[str]:
+    """Short spellings as long ones, and ``--axis -z`` as ``--axis=-z``."""
+    words: list[str] = []
+    for argument in arguments:
+        last = words[-1] if words else ""
+        if _DIRECTION.fullmatch(argument) and last.startswith("--") and "=" not in last:
+            words[-1] = f"{last}={argument}"
+        else:
+            words.append(respelled(argument, short))
+    return words
+
+
+def given(arguments: Sequence[str], option: str) -> str | None:
+    """The value that ``option`` is given, for a default that depends on it; None: it is not."""
+    for word, after in zip(arguments, [*arguments[1:], None], strict=True):
+        flag, equals, value = word.partition("=")
+        if flag == option:
+            return value if equals else after
+    return None
+
+
+def respelled(word: str, table: Mapping[str, str]) -> str:
+    """An option as ``table`` spells it; ``--option=value`` too."""
+    flag, equals, value = word.partition("=")
+    return f"{table.get(flag, flag)}{equals}{value}"
+
+
+def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """How what may be none is typed: as that word, which the help does not show as syntax."""
+    kinds = get_args(info.type)
+    others = [kind for kind in kinds if kind is not NoneType]
+    if len(others) != 1 or len(others) == len(kinds) or info.type_origin is Annotated:
+        return None
+    inside = PrimitiveTypeInfo.make(raw_annotation=others[0], parent_markers=info.markers)
+    spec = ConstructorRegistry.get_primitive_spec(inside)
+    if not isinstance(spec, PrimitiveConstructorSpec) or spec.nargs not in (1, "*"):
+        return None
+
+    def read(words: list[str]) -> Any:
+        return None if [word.lower() for word in words] == [NONE] else spec.instance_from_str(words)
+
+    def show(value: Any) -> list[str]:
+        return [NONE] if value is None else spec.str_from_instance(value)
+
+    return PrimitiveConstructorSpec(
+        nargs=spec.nargs,
+        metavar=spec.metavar,
+        instance_from_str=read,
+        is_instance=lambda value: value is None or spec.is_instance(value),
+        str_from_instance=show,
+        choices=None if spec.choices is None else (*spec.choices, NONE),
+    )
+
+
+_REGISTRY = ConstructorRegistry()
+_REGISTRY.primitive_rule(_optional)
 
 
 def _one_line(box: str) -> str:
@@ -53,58 +148,3 @@ def _one_line(box: str) -> str:
             continue
         said.append(inside)
     return " ".join(said) or "bad arguments"
-
-
-def check_seconds(seconds: float, control_period: float) -> float:
-    """``seconds`` if it is finite and at least one control period."""
-    if not (math.isfinite(seconds) and seconds >= control_period):
-        raise InvalidInput(
-            f"--seconds is {seconds}; expected a finite number of at least {control_period}"
-        )
-    return seconds
-
-
-def check_count(option: str, value: int) -> int:
-    """``value`` if it is above 0."""
-    if value < 1:
-        raise InvalidInput(f"{option} is {value}; expected a whole number above 0")
-    return value
-
-
-def parse_gravity(text: str) -> str | tuple[float, ...]:
-    """Numbers [m/s^2] of "x,y,z"; "up" and "down" stay, the simulator knows them."""
-    return parse_vector("--gravity", text, "up, down, or three numbers x,y,z in m/s^2")
-
-
-def parse_vector(
-    option: str, text: str, expected: str = "x, y, z, or three numbers x,y,z"
-) -> str | tuple[float, ...]:
-    """Three finite numbers of "x,y,z"; one word stays as it is."""
-    parts = text.split(",")
-    if len(parts) == 1:
-        return text
-    try:
-        vector = tuple(float(part) for part in parts)
-    except ValueError:
-        vector = ()
-    if len(vector) != 3 or not all(math.isfinite(number) for number in vector):
-        raise InvalidInput(f"{option} is {text!r}; expected {expected}")
-    return vector
-
-
-def make_folder(path: Path) -> Path:
-    """``path``, made where it is not there.
-
-    Raises:
-        InvalidInput: it cannot be made or written to.
-    """
-    path = path.expanduser()
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".dexctl-probe"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InvalidInput(f"--out is {str(path)!r}; cannot write there: {reason}") from None
-    return path

@@ -2,44 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from dexctl.cli.output import notes, print_json, progress, results, to_json
-from dexctl.cli.parsing import check_count, check_seconds, make_folder
+from dexctl import hands
+from dexctl.cli.checks import check_count, check_seconds, make_folder
+from dexctl.cli.command_line import command_line
+from dexctl.cli.output import notes, print_json, progress, results, table, to_json
+from dexctl.cli.parsing import Switch
 from dexctl.cli.trials import (
-    CONTROL_PERIOD,
-    SceneOptions,
     captions,
     check_viz,
+    describe,
     make_controller,
+    paced,
     run_trials,
+    scene_of,
+    simulation,
 )
 from dexctl.exceptions import InvalidInput
+from dexctl.limits import HandLimits
+from dexctl.settings import NESTED, Vector
+from dexctl.sim import SceneConfig
+from dexctl.validation import unit_axis
 
 if TYPE_CHECKING:
     from dexctl.controller import Controller
-    from dexctl.plant import Plant
     from dexctl.report.film import Film
     from dexctl.report.summary import BatchSummary
-    from dexctl.sim import BatchSimulator, Scene, Trace
+    from dexctl.sim import Scene, Simulation, Trace
 
 
 @dataclass(kw_only=True)
-class Rotate(SceneOptions):
+class Rotate:
     """Turn an object with one controller, many trials at once.
 
-    Each trial starts from the settled grasp with set-points disturbed by N(0, 0.02 rad), at 20 Hz
-    with 10 physics steps each. An object whose centre moves by more than 0.05 m is dropped; the
-    rotation is the unwrapped angle about the hand's z axis up to the drop.
+    An object whose centre moves by more than 0.05 m is dropped; the rotation is the unwrapped
+    angle about the axis up to the drop.
     """
 
     controller: str = "coordinated"
     """Name of the controller (igm, switch, gait, coordinated, hold), or a policy: learned, its name
     (dex5-cylinder), its file (.npz), its run folder; or module:function."""
+    axis: Vector = "z"
+    """Of the hand, about which the object is turned: x, y, z, -x, -y, -z, or x,y,z."""
     seconds: float = 10.0
     """Simulated time of each trial [s]."""
     num_envs: int = 64
@@ -48,53 +57,39 @@ class Rotate(SceneOptions):
     """Seed of the first trial; trial i has seed + i."""
     out: Path | None = None
     """Folder for rotate.json and report.html (and rotate.mp4)."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the table."""
-    video: bool = False
+    video: Switch = False
     """Record the first trial to rotate.mp4 (wants --out and an OpenGL)."""
-    viewer: bool = False
+    viewer: Switch = False
     """Show the first trial in MuJoCo's viewer, in real time (wants a display)."""
-    as_real: bool = False
-    """Latency, speed and torque limits of the servo hand: 0.05 s, 0.6 rad/s, 0.5 N m."""
-    latency: float | None = None
-    """From a set-point to its effect [s], in whole control periods."""
-    speed_limit: float | None = None
-    """Fastest set-point [rad/s]."""
-    torque_limit: float | None = None
-    """Largest joint torque [N m]."""
+    as_real: Switch = False
+    """Limits of the thesis's hand where no other is given: 0.6 rad/s, 0.5 N m, 0.05 s."""
+    scene: Annotated[SceneConfig, NESTED] = field(default_factory=SceneConfig)
 
-    @property
-    def limits(self) -> dict[str, Any]:
-        """What `dexctl.sim.AsReal` is given; {} for the bare simulator."""
-        from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE
-
-        given = {"latency": self.latency, "speed": self.speed_limit, "torque": self.torque_limit}
-        if not self.as_real:
-            nothing = all(value is None for value in given.values())
-            return {} if nothing else {**given, "latency": self.latency or 0.0}
-        usual = {"latency": REAL_LATENCY, "speed": REAL_SPEED, "torque": REAL_TORQUE}
-        return {name: usual[name] if given[name] is None else given[name] for name in usual}
+    @classmethod
+    def defaults(cls, arguments: Sequence[str]) -> Rotate:
+        """With the limits of the real hand where they are asked for."""
+        limits = HandLimits.real() if "--as-real" in arguments else HandLimits()
+        return cls(scene=SceneConfig(limits=limits))
 
     def run(self) -> int:
-        check_seconds(self.seconds, CONTROL_PERIOD)
+        check_seconds(self.seconds, self.scene.control_period)
         check_count("--num-envs", self.num_envs)
-        for name in ("latency", "speed_limit", "torque_limit"):
-            value, least = getattr(self, name), 0.0 if name == "latency" else 1e-6
-            if value is not None and not least <= value <= 10:
-                flag = f"--{name.replace('_', '-')}"
-                raise InvalidInput(f"{flag} is {value}; expected a number above 0, up to 10")
         if self.video and self.out is None:
             raise InvalidInput("--video is given without --out; expected a folder for rotate.mp4")
         if self.out is not None:
             check_viz("dexctl rotate --out")
-        scene = self.build_scene()
-        controller = make_controller(self.controller, scene)
         folder = None if self.out is None else make_folder(self.out)
-        from dexctl.report.film import Film
-        from dexctl.report.summary import summarise_batch
+        hand = hands.load(self.scene.hand)
+        controller = make_controller(self.controller, hand, self.scene, self.axis)
+        config = paced(self.scene, controller)
+        with simulation(config, self.num_envs, self.seed, hand) as sim:
+            from dexctl.report.film import Film
+            from dexctl.report.summary import summarise_batch
 
-        film = Film()
-        trace = self._simulate(scene, controller, film)
+            film, scene = Film(), scene_of(sim)
+            trace = self._simulate(sim, controller, film)
         summary = summarise_batch(trace)
         found = self._as_dict(scene, summary)
         if folder is not None:
@@ -107,11 +102,7 @@ class Rotate(SceneOptions):
             self._draw(folder, scene, trace, film)
         return 0
 
-    def _simulate(self, scene: Scene, controller: Controller, film: Film) -> Trace:
-        from dexctl.sim import AsReal, BatchSimulator
-
-        limits = self.limits
-        console = notes()
+    def _simulate(self, sim: Simulation, controller: Controller, film: Film) -> Trace:
         with ExitStack() as stack:
             watch: list[Callable[[Any], None]] = []
             if self.video:
@@ -119,26 +110,16 @@ class Rotate(SceneOptions):
             if self.viewer:
                 from dexctl.sim.viewer import Viewer
 
-                watch.append(stack.enter_context(Viewer(scene)))
-            sim = stack.enter_context(BatchSimulator(scene, self.num_envs, CONTROL_PERIOD))
-            self.set_friction(sim)
-
-            def behind(sim: BatchSimulator) -> Plant | None:
-                return AsReal(sim, stiffness=scene.stiffness, **limits) if limits else None
-
-            def look(now: Any) -> None:
-                for watcher in watch:
-                    watcher(now)
-
-            bar = stack.enter_context(progress(console))
+                watch.append(stack.enter_context(Viewer(scene_of(sim))))
+            bar = stack.enter_context(progress(notes()))
             task = bar.add_task(f"{self.controller}, {self.num_envs} trials", total=self.seconds)
             return run_trials(
                 controller,
                 sim,
                 self.seconds,
                 self.seed,
-                behind=behind,
-                observers=[look] if watch else [],
+                axis=self.axis,
+                observers=watch,
                 progress=lambda now: bar.update(task, completed=now),
             )
 
@@ -148,22 +129,16 @@ class Rotate(SceneOptions):
         return {
             "command": "rotate",
             "controller": self.controller,
-            **self.describe(scene),
+            **describe(self.scene, scene),
+            "axis": unit_axis(self.axis),
             "seconds": self.seconds,
-            "control_period_s": CONTROL_PERIOD,
-            "limits": self.limits,
             "seeds": [self.seed, self.seed + self.num_envs - 1],
             **summary.as_dict(),
             "machine": machine(),
         }
 
     def _write(
-        self,
-        folder: Path,
-        scene: Scene,
-        trace: Trace,
-        summary: BatchSummary,
-        found: dict[str, Any],
+        self, folder: Path, scene: Scene, trace: Trace, summary: BatchSummary, found: dict[str, Any]
     ) -> None:
         from dexctl.files import write_text
         from dexctl.report import batch
@@ -173,14 +148,12 @@ class Rotate(SceneOptions):
             self.controller,
             trace,
             summary,
-            setting={
-                **self.describe(scene),
-                **{f"limit_{name}": value for name, value in self.limits.items()},
-                "seconds": self.seconds,
-                "seed": self.seed,
-            },
-            control_period=CONTROL_PERIOD,
-            command=self.command_line("rotate"),
+            config=self.scene,
+            scene=scene,
+            axis=self.axis,
+            seconds=self.seconds,
+            seed=self.seed,
+            command=command_line(self, "rotate"),
             machine=found["machine"],
         )
         write_text(folder / "report.html", document)
@@ -191,7 +164,7 @@ class Rotate(SceneOptions):
         from dexctl.sim.record import Recorder
 
         console, path = notes(), folder / "rotate.mp4"
-        caption = captions(title_of(self.controller), trace)
+        caption = captions(title_of(self.controller), trace.trial(0))
         with (
             Recorder(scene, path, width=640, height=480) as recorder,
             progress(console) as bar,
@@ -201,20 +174,19 @@ class Rotate(SceneOptions):
         console.print(f"written: {path}")
 
     def _print(self, summary: BatchSummary) -> None:
-        from rich.table import Table
-
+        from dexctl.report import words
         from dexctl.report.batch import figures_of_merit
         from dexctl.report.style import title_of
 
-        title = title_of(self.controller)
-        console = results()
+        title, scene = title_of(self.controller), self.scene
+        console, shown = results(), table()
         console.print(
-            f"[bold]{title}: {self.hand} turns a {self.object}, {self.palm}[/bold]\n"
+            f"[bold]{title}: {scene.hand} turns a {scene.object[0]} {words.about(self.axis)}, "
+            f"{scene.palm}[/bold]\n"
             f"{self.num_envs} trials of {self.seconds:g} s, seeds {self.seed} to "
             f"{self.seed + self.num_envs - 1}; median (10 % to 90 %), share (95 % interval)\n",
             soft_wrap=True,
         )
-        table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
         for what, value in figures_of_merit(summary):
-            table.add_row(what, value)
-        console.print(table)
+            shown.add_row(what, value)
+        console.print(shown)

@@ -1,107 +1,58 @@
-"""What `rotate`, `demo` and `check-grasp` share: the scene's options, and running trials on it."""
+"""What `rotate`, `demo` and `check-grasp` share: one object, and trials of it."""
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dexctl import controllers, hands
-from dexctl.cli.parsing import parse_gravity
-from dexctl.exceptions import InvalidInput, MissingExtra, SimulationError, UnknownName
+import numpy as np
+
+from dexctl import controllers
+from dexctl.exceptions import InvalidInput, MissingExtra, SimulationError
+from dexctl.settings import to_plain
+from dexctl.validation import unit_axis
 
 if TYPE_CHECKING:
     from dexctl.controller import Controller
-    from dexctl.plant import Plant
-    from dexctl.sim import BatchSimulator, Scene, Trace
+    from dexctl.hand import HandModel
+    from dexctl.sim import Scene, SceneConfig, Simulation, Trace
 
-CONTROL_PERIOD = 0.05  # [s], 10 physics steps
+def simulation(
+    config: SceneConfig, num_envs: int, seed: int, hand: HandModel | None = None
+) -> Simulation:
+    """The hand with its one object, and the grasp settled.
+
+    Raises:
+        UnknownName, InvalidInput: an option is wrong.
+        SimulationError: the hand cannot hold the object.
+    """
+    if len(config.object) != 1:
+        raise InvalidInput(f"--object is {' '.join(config.object)}; this command takes one object")
+    from dexctl.sim import Simulation
+
+    return Simulation(config, num_envs, seed, hand=hand)
 
 
-@dataclass(kw_only=True)
-class SceneOptions:
-    """Which hand holds which object, and how."""
+def scene_of(sim: Simulation) -> Scene:
+    """The scene that is simulated."""
+    return sim.sim.groups[0].scene
 
-    hand: str = "dex5"
-    """Name of the hand (`dexctl hands` lists them)."""
-    object: str = "cube"
-    """Name of the object; an unknown one gets the list of names."""
-    gravity: str = "up"
-    """Which way the palm looks: up, down, or gravity as x,y,z in m/s^2."""
-    object_size: float | None = None
-    """Width of the object [m]; by default what suits the hand."""
-    object_mass: float = 0.1
-    """Mass of the object [kg]."""
-    friction: float = 1.0
-    """Sliding friction coefficient between object and hand."""
-    mesh: Path | None = None
-    """STL or OBJ file, with --object mesh; its convex hull is what collides."""
 
-    @property
-    def palm(self) -> str:
-        """How the hand is held, for people."""
-        return (
-            f"palm {self.gravity}" if self.gravity in ("up", "down") else f"gravity {self.gravity}"
-        )
-
-    def build_scene(self) -> Scene:
-        """The scene, with its grasp settled.
-
-        Raises:
-            UnknownName, InvalidInput: an option is wrong.
-            SimulationError: the hand cannot hold the object.
-        """
-        gravity = parse_gravity(self.gravity)
-        hands.entry(self.hand)  # names first: they cost nothing
-        from dexctl.sim import Scene, object_names
-
-        if self.object not in (*object_names(), "mesh"):
-            raise UnknownName("object", self.object, (*object_names(), "mesh"))
-        scene = Scene.build(
-            self.hand,
-            self.object,
-            gravity,
-            object_size=self.object_size,
-            object_mass=self.object_mass,
-            friction=self.friction,
-            object_mesh=self.mesh,
-        )
-        scene.settled  # noqa: B018 (found once, and worth finding before anything else)
-        return scene
-
-    def set_friction(self, sim: BatchSimulator) -> None:
-        """Give the object and the fingertips the friction asked for.
-
-        MuJoCo takes the larger coefficient of two bodies, so the object's alone could only add.
-        """
-        if self.friction != 1.0:
-            sim.set_parameters(friction=self.friction)
-
-    def command_line(self, name: str) -> str:
-        """What to type to get the same again."""
-        words = ["dexctl", name]
-        for option in fields(self):
-            value, default = getattr(self, option.name), option.default
-            if option.name == "json" or default is MISSING or value == default:
-                continue
-            flag = f"--{option.name.replace('_', '-')}"
-            words += [flag] if value is True else [flag, str(value)]
-        return shlex.join(words)
-
-    def describe(self, scene: Scene) -> dict[str, Any]:
-        """For JSON and reports."""
-        return {
-            "palm": self.palm,
-            "hand": self.hand,
-            "object": self.object,
-            "gravity_m_s2": scene.gravity.tolist(),
-            "object_width_m": scene.object_width,
-            "object_mass_kg": scene.object_mass,
-            "friction": self.friction,
-        }
+def describe(config: SceneConfig, scene: Scene) -> dict[str, Any]:
+    """For JSON: what is simulated, and the settings that it was asked for with."""
+    return {
+        "palm": config.palm,
+        "hand": config.hand,
+        "object": scene.object,
+        "gravity_m_s2": scene.gravity.tolist(),
+        "object_width_m": scene.object_width,
+        "object_mass_kg": scene.object_mass,
+        "friction": scene.friction(),
+        "control_period_s": config.control_period,
+        "scene": to_plain(config),
+    }
 
 
 def check_viz(feature: str) -> None:
@@ -110,48 +61,60 @@ def check_viz(feature: str) -> None:
         raise MissingExtra(feature, "viz")
 
 
-def captions(title: str, trace: Trace, index: int = 0) -> Callable[[int], str]:
+def captions(title: str, trace: Trace) -> Callable[[int], str]:
     """The text in a video at control step i of one trial."""
-    rotation, held = trace.rotation, trace.held
-    if held.ndim == 2:
-        rotation, held = rotation[:, index], held[:, index]
 
     def caption(i: int) -> str:
-        state = "" if held[i] else "   dropped"
-        return f"{title}   {trace.time[i]:4.1f} s   {rotation[i]:5.2f} rad{state}"
+        state = "" if trace.held[i] else "   dropped"
+        return f"{title}   {trace.time[i]:4.1f} s   {trace.rotation[i]:5.2f} rad{state}"
 
     return caption
 
 
-def make_controller(name: str, scene: Scene) -> Controller:
+def make_controller(
+    name: str, hand: HandModel, config: SceneConfig, axis: str | tuple[float, ...] = "z"
+) -> Controller:
     """What `dexctl.controllers.resolve` finds for ``name``, with its default settings.
 
+    Controllers take the control period of the scene; a policy has the one of its training, which
+    is then the scene's: see `paced`.
+
     Raises:
-        UnknownName: no such controller or policy.
+        UnknownName: no such controller or policy, or axis.
         InvalidInput: a damaged policy, or one for another hand.
         SimulationError: the hand cannot be driven by that controller.
     """
+    known = name in controllers.names()
+    own = known and controllers.entry(name).module.startswith("dexctl.")
+    period = config.control_period if own else None
     try:
-        return controllers.resolve(name, scene.hand, control_period=CONTROL_PERIOD)
+        return controllers.resolve(name, hand, control_period=period, axis=unit_axis(axis))
     except InvalidInput as error:
-        if name not in controllers.names():
+        if not known:
             raise
-        raise SimulationError(f"{name} cannot drive {scene.hand.path.stem}: {error}") from error
+        raise SimulationError(f"{name} cannot drive {hand.path.stem}: {error}") from error
+
+
+def paced(config: SceneConfig, controller: Controller) -> SceneConfig:
+    """The scene at the controller's own pace, with physics steps as long as before."""
+    period = controller.control_period
+    if np.isclose(period, config.control_period):
+        return config
+    substeps = max(1, round(config.substeps * period / config.control_period))
+    return replace(config, control_period=period, substeps=substeps)
 
 
 def run_trials(
     controller: Controller,
-    sim: BatchSimulator,
+    sim: Simulation,
     seconds: float,
     seed: int,
     *,
-    behind: Callable[[BatchSimulator], Plant | None] | None = None,
+    axis: str | tuple[float, ...] = "z",
     observers: Sequence[Callable[[Any], None]] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Trace:
-    """The standard protocol: the settled grasp, disturbed; environment i has the seed seed + i.
-
-    ``behind`` makes what the controller sees of the simulator, once that is reset.
+    """The standard protocol: environment i has the seed seed + i.
 
     Raises:
         SimulationError: the run failed; the arguments were checked before it.
@@ -161,7 +124,6 @@ def run_trials(
     sim.reset(seed)
     controller.reset(seed)
     try:
-        plant = None if behind is None else behind(sim)
-        return run(controller, sim, seconds, plant=plant, observers=observers, progress=progress)
+        return run(controller, sim, seconds, axis=axis, observers=observers, progress=progress)
     except InvalidInput as error:  # not the user's input any more
         raise SimulationError(f"the run failed: {error}") from error

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dexctl.report import figures, html
+from dexctl.report import figures, html, words
 from dexctl.report.conditions import conditions
 from dexctl.report.style import drawing, title_of
-from dexctl.report.summary import BatchSummary, Share, percentiles
-from dexctl.sim import Trace
+from dexctl.report.summary import BatchSummary, percentiles
+from dexctl.sim import Scene, SceneConfig, Trace
 
 
 def figures_of_merit(summary: BatchSummary) -> list[tuple[str, str]]:
     """What the trials came to, as (what, value) for people."""
     rotation, held = percentiles(summary.rotation), percentiles(summary.time_held)
     rows = [
-        ("rotation", _spread(rotation, "rad")),
-        ("time held", _spread(held, "s")),
-        ("still holding", _share(summary.holding)),
-        ("made a full turn", _share(summary.full_turn)),
+        ("rotation", words.spread(rotation, "rad")),
+        ("time held", words.spread(held, "s")),
+        ("still holding", words.share(*summary.holding)),
+        ("made a full turn", words.share(*summary.full_turn)),
         ("fingertips in touch", f"{summary.mean_contacts:.1f} on average while held"),
         (
             "controller latency",
@@ -37,8 +37,11 @@ def build(
     trace: Trace,
     summary: BatchSummary,
     *,
-    setting: Mapping[str, Any],
-    control_period: float,
+    config: SceneConfig,
+    scene: Scene,
+    axis: str | tuple[float, ...],
+    seconds: float,
+    seed: int,
     command: str,
     machine: Mapping[str, Any],
 ) -> str:
@@ -48,8 +51,10 @@ def build(
         name: the controller's.
         trace: of N trials.
         summary: of the same.
-        setting: hand, object, gravity, seed and so on.
-        control_period: [s].
+        config, scene: what was simulated.
+        axis: that rotation is counted about.
+        seconds: of each trial [s].
+        seed: of the first trial.
         command: what was typed.
         machine: see `dexctl.report.machine`.
     """
@@ -60,7 +65,7 @@ def build(
                 html.facts(figures_of_merit(summary)),
                 html.paragraph(
                     "Medians with 10th and 90th percentile over trials; shares with their 95 % "
-                    "Wilson interval. Rotation is the unwrapped angle about the palm axis, up to "
+                    "Wilson interval. Rotation is the unwrapped angle about the axis, up to "
                     "the drop (centre more than 0.05 m from its start) or the end.",
                     "note",
                 ),
@@ -78,22 +83,11 @@ def build(
                     figures.diagram_caption(trace),
                 ),
             ),
-            conditions(setting, control_period, command, machine),
+            conditions(config, command=command, machine=machine, seed=seed, scene=scene, axis=axis),
         ]
-    title = f"{title_of(name)}: {setting['hand']} turns a {setting['object']}"
+    title = f"{title_of(name)}: {config.hand} turns a {scene.object} {words.about(axis)}"
     subtitle = (
-        f"{len(summary.rotation)} trials of {setting['seconds']:g} s, {setting['palm']}, "
-        f"seeds {setting['seed']} to {setting['seed'] + len(summary.rotation) - 1}"
+        f"{len(summary.rotation)} trials of {seconds:g} s, {config.palm}, "
+        f"seeds {seed} to {seed + len(summary.rotation) - 1}"
     )
     return html.page(title[0].upper() + title[1:], subtitle, sections)
-
-
-def _spread(values: Mapping[str, float], unit: str) -> str:
-    return f"{values['median']:.2f} {unit} ({values['p10']:.2f} to {values['p90']:.2f})"
-
-
-def _share(share: Share) -> str:
-    return (
-        f"{share.count} of {share.trials}, {100 * share.share:.0f} % "
-        f"({100 * share.low:.0f} to {100 * share.high:.0f} %)"
-    )

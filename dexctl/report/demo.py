@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from dexctl import controllers
-from dexctl.report import figures, html
+from dexctl.report import figures, html, words
 from dexctl.report.conditions import conditions
 from dexctl.report.film import Film
 from dexctl.report.style import drawing, title_of
 from dexctl.report.summary import TrialSummary
-from dexctl.sim import Trace
+from dexctl.sim import Scene, SceneConfig, Trace
 
 HEADINGS = (
     ("controller",),
@@ -49,13 +49,12 @@ class Trial:
 def row(trial: Trial) -> tuple[str, ...]:
     """A trial as a table row under `HEADINGS`."""
     found = trial.summary
-    residual = "-" if found.largest_residual is None else f"{found.largest_residual:.3f}"
     return (
         title_of(trial.name),
-        f"{found.rotation:.2f}".replace("-0.00", "0.00"),
+        words.number(found.rotation, 2),
         f"{found.time_held:.1f}" + (", dropped" if found.dropped else ""),
         f"{found.mean_contacts:.1f}",
-        residual,
+        words.number(found.largest_residual, 3),
         f"{1e3 * found.latency_median:.2f}",
         f"{1e3 * found.latency_p99:.2f}",
     )
@@ -70,8 +69,11 @@ def key_times(trace: Trace, count: int) -> list[float]:
 def build(
     trials: Mapping[str, Trial],
     *,
-    setting: Mapping[str, Any],
-    control_period: float,
+    config: SceneConfig,
+    scene: Scene,
+    axis: str | tuple[float, ...],
+    seconds: float,
+    seed: int,
     command: str,
     machine: Mapping[str, Any],
     remarks: tuple[str, ...] = (),
@@ -80,8 +82,10 @@ def build(
 
     Args:
         trials: by controller, in the order of the report.
-        setting: hand, object, gravity, seed and so on, as text can show them.
-        control_period: [s].
+        config, scene: what was simulated.
+        axis: that rotation is counted about.
+        seconds: of each trial [s].
+        seed: of all of them.
         command: what was typed.
         machine: see `dexctl.report.machine`.
         remarks: what the reader should know, an interruption for example.
@@ -92,13 +96,12 @@ def build(
             *(html.paragraph(remark, "note") for remark in remarks),
             _overview(trials, traces),
             *(_trial_section(trial) for trial in trials.values()),
-            _latency(traces, control_period),
-            conditions(setting, control_period, command, machine),
+            _latency(traces, config.control_period),
+            conditions(config, command=command, machine=machine, seed=seed, scene=scene, axis=axis),
         ]
-    title = f"{setting['hand']} turns a {setting['object']}"
+    title = f"{config.hand} turns a {scene.object} {words.about(axis)}"
     subtitle = (
-        f"{len(trials)} controllers, one trial of {setting['seconds']:g} s each, "
-        f"{setting['palm']}, seed {setting['seed']}"
+        f"{len(trials)} controllers, one trial of {seconds:g} s each, {config.palm}, seed {seed}"
     )
     return html.page(title, subtitle, sections)
 
@@ -110,7 +113,7 @@ def _overview(trials: Mapping[str, Trial], traces: Mapping[str, Trace]) -> str:
             [" ".join(heading) for heading in HEADINGS], [row(trial) for trial in trials.values()]
         ),
         html.paragraph(
-            "Rotation is the unwrapped angle about the palm axis, up to the drop (centre more than "
+            "Rotation is the unwrapped angle about the axis, up to the drop (centre more than "
             "0.05 m from its start) or the end. Fingertips in touch is the mean over the time "
             "held. The residual is the norm of the wrench that the stability QP leaves, in units "
             "of the grip force. Latency is the wall time of one call for one hand. This is one "

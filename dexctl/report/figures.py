@@ -45,7 +45,7 @@ def rotation_figure(traces: Mapping[str, Trace], index: int = 0) -> Figure:
             axes.plot(trace.time[last], rotation[last], "x", color=line["color"], **_CROSS)
     if any(trace.dropped.any() for trace in traces.values()):
         axes.plot([], [], "x", color=INK, label="object dropped", **_CROSS)
-    axes.set(xlabel="time [s]", ylabel="rotation about the palm axis [rad]")
+    axes.set(xlabel="time [s]", ylabel="rotation [rad]")
     axes.set_xlim(0, max(trace.time[-1] for trace in traces.values()))
     turns = axes.secondary_yaxis("right", functions=(_to_turns, _to_radians))
     turns.set_ylabel("[turns]")
@@ -67,7 +67,7 @@ def spread_figure(name: str, trace: Trace) -> Figure:
     if len(rows):
         dropped = trace.rotation[last[rows], rows]
         axes.plot(trace.time[last[rows]], dropped, "x", color=INK, label="object dropped", **_CROSS)
-    axes.set(xlabel="time [s]", ylabel="rotation about the palm axis [rad]")
+    axes.set(xlabel="time [s]", ylabel="rotation [rad]")
     axes.margins(x=0)
     turns = axes.secondary_yaxis("right", functions=(_to_turns, _to_radians))
     turns.set_ylabel("[turns]")

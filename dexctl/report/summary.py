@@ -20,7 +20,7 @@ class TrialSummary:
     """What one trial of one controller came to.
 
     Attributes:
-        rotation: about the hand's z up to the drop or the end [rad].
+        rotation: about the axis of the run up to the drop or the end [rad].
         time_held: until the drop or the end [s].
         dropped: whether the object was dropped.
         mean_contacts: fingertips in touch, averaged over the time held.

@@ -21,21 +21,6 @@ def _friction(scene: Scene, model: mujoco.MjModel, value: float) -> None:
     model.geom_friction[np.isin(model.geom_bodyid, bodies), 0] = value
 
 
-def fingertip_friction(scene: Scene, model: mujoco.MjModel) -> float:
-    """Sliding friction coefficient of object and fingertips in ``model``, the least of all pairs.
-
-    MuJoCo takes the larger of two geoms, unless one has the higher priority.
-    """
-    tips = [model.body(name).id for name in scene.hand.fingertip_bodies]
-    own = np.flatnonzero(model.geom_bodyid == model.body("object").id)[:, None]
-    other = np.flatnonzero(np.isin(model.geom_bodyid, tips))[None]
-    value, priority = model.geom_friction[:, 0], model.geom_priority
-    mixed = np.maximum(value[own], value[other])
-    mixed = np.where(priority[own] > priority[other], value[own], mixed)
-    mixed = np.where(priority[own] < priority[other], value[other], mixed)
-    return float(mixed.min())
-
-
 def _object_mass(scene: Scene, model: mujoco.MjModel, value: float) -> None:
     body = model.body("object").id
     ratio = value / scene.model.body_mass[body]

@@ -180,6 +180,24 @@ class Scene:
 
         return settle(self)
 
+    def friction(self, model: mujoco.MjModel | None = None) -> float:
+        """Sliding friction coefficient between object and fingertips, the least of all pairs.
+
+        MuJoCo takes the larger of two geoms, unless one has the higher priority.
+
+        Args:
+            model: `model` with other parameters.
+        """
+        found = self.model if model is None else model
+        tips = [found.body(name).id for name in self.hand.fingertip_bodies]
+        own = np.flatnonzero(found.geom_bodyid == found.body("object").id)[:, None]
+        other = np.flatnonzero(np.isin(found.geom_bodyid, tips))[None]
+        value, priority = found.geom_friction[:, 0], found.geom_priority
+        mixed = np.maximum(value[own], value[other])
+        mixed = np.where(priority[own] > priority[other], value[own], mixed)
+        mixed = np.where(priority[own] < priority[other], value[other], mixed)
+        return float(mixed.min())
+
     def _find_joints(self) -> None:
         model = self.model
         joints = [model.joint(name).id for name in self.hand.joint_names]

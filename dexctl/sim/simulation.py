@@ -118,6 +118,31 @@ class Simulation:
             self.sim.reset(seeds, chosen)
         self._begin(chosen)
 
+    def place(self, states: GraspStates, index: ArrayLike, mask: Bools | None = None) -> None:
+        """Begin anew in given grasps, at rest and undisturbed.
+
+        Args:
+            states: of this hand, and of the object of each environment.
+            index: which of them each environment gets, ``(N,)``.
+            mask: in which environments, ``(N,)`` bool; None is all.
+
+        Raises:
+            InvalidInput: states of another hand, or of another object.
+        """
+        StateSampler(states, self.hand, self.objects)  # says what does not belong together
+        chosen = np.ones(self.num_envs, bool) if mask is None else mask
+        rows = np.asarray(index)
+        wrong = chosen & (states.object[rows] != np.array(self.objects))
+        if wrong.any():
+            i = int(np.flatnonzero(wrong)[0])
+            raise InvalidInput(
+                f"state {rows[i]} is of the object {states.object[rows[i]]!r}; environment {i} has "
+                f"{self.objects[i]!r}"
+            )
+        self.read()
+        self._put(states, rows, 0.0, chosen)
+        self._start(chosen)
+
     def read(self) -> GraspState:
         """What the sensors tell, ``(N,)``; the same however often it is asked within a step."""
         if self._unseen is None or self._unseen.any():
@@ -190,15 +215,24 @@ class Simulation:
 
     def _begin(self, chosen: Bools) -> None:
         if self._sampler is not None:
-            states, index = self._sampler.states, self._sampler(self._draws.uniform((), chosen))
+            index = self._sampler(self._draws.uniform((), chosen))
             noise = self._draws.normal((self.hand.nq,), chosen)
-            self.sim.set_grasp(
-                states.q[index],
-                states.q_target[index] + self.config.disturbance * noise,
-                states.object_position[index],
-                states.object_quaternion[index],
-                mask=chosen,
-            )
+            self._put(self._sampler.states, index, self.config.disturbance * noise, chosen)
+        self._start(chosen)
+
+    def _put(
+        self, states: GraspStates, index: np.ndarray, disturbance: Floats | float, chosen: Bools
+    ) -> None:
+        self.sim.set_grasp(
+            states.q[index],
+            states.q_target[index] + disturbance,
+            states.object_position[index],
+            states.object_quaternion[index],
+            mask=chosen,
+        )
+
+    def _start(self, chosen: Bools) -> None:
+        """An episode begins with how the physics are now."""
         if isinstance(self._plant, LimitedHand):
             self._plant.restart(chosen)
         self._steps[chosen] = 0

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.rotations import inverse, multiply, rotation_vector
 from dexctl.sim import checks
-from dexctl.sim.parameters import ParameterSet, fingertip_friction
+from dexctl.sim.parameters import ParameterSet
 from dexctl.sim.physics_state import INPUT, PhysicsLayout, SimulatorState
 from dexctl.sim.scene import Scene
 from dexctl.sim.tactile import TouchReading, TouchSensors
@@ -303,8 +303,7 @@ class BatchSimulator:
     @property
     def friction(self) -> Floats:
         """Sliding friction coefficient between object and fingertips, ``(...)``."""
-        models = self._parameters.models
-        return self._out(np.array([fingertip_friction(self.scene, model) for model in models]))
+        return self._out(np.array([self.scene.friction(m) for m in self._parameters.models]))
 
     def save(self) -> SimulatorState:
         """All that decides the future, to be given to :meth:`restore`.

@@ -8,7 +8,7 @@ unwrapped angle about the axis asked for, up to the drop.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from time import perf_counter
 from typing import Any
 
@@ -69,6 +69,17 @@ class Trace:
     axis: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     diagnostics: Mapping[str, np.ndarray] = field(default_factory=dict)
     act_seconds: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def trial(self, index: int) -> Trace:
+        """One trial of a batch, without the batch dimension."""
+        alone = ("time", "axis", "act_seconds", "diagnostics")
+        rows = {
+            each.name: getattr(self, each.name)[:, index]
+            for each in fields(self)
+            if each.name not in alone
+        }
+        diagnostics = {name: value[:, index] for name, value in self.diagnostics.items()}
+        return replace(self, **rows, diagnostics=diagnostics)
 
     @property
     def final_rotation(self) -> Floats:

@@ -18,7 +18,7 @@ from dexctl.sim.visuals import visual_model
 class Viewer:
     """A window that shows one environment, no faster than real time.
 
-    Give it to `run` as ``record``.
+    Give it to `run` as an observer.
 
     Closing the window does not end the run: it goes on unseen, at full speed.
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from dexctl import HandModel
-from dexctl.cli.output import columns, notes, print_json, results
+from dexctl.cli.output import notes, print_json, results, table
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import only
 from dexctl.sim.scene_config import SceneConfig
@@ -152,11 +152,12 @@ class Calibrate(HandOptions):
 
 
 def _table(found: Calibration) -> Table:
-    table = columns(("joint", "servo", "sign", "zero", "lower", "upper [rad]"), left=("joint",))
+    numbers = ("servo", "sign", "zero", "lower", "upper [rad]")
+    rows = table("joint", *numbers, right=numbers)
     for i, name in enumerate(found.joint_names):
         angles = (f"{angles[i]:.3f}" for angles in (found.zero, found.lower, found.upper))
-        table.add_row(name, str(found.servo[i]), f"{found.sign[i]:+d}", *angles)
-    return table
+        rows.add_row(name, str(found.servo[i]), f"{found.sign[i]:+d}", *angles)
+    return rows
 
 
 def _release(bus: Bus) -> None:

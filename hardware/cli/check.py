@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dexctl.cli.output import columns, notes, print_json, results, to_json
+from dexctl.cli.output import notes, print_json, results, table, to_json
 from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput
 from dexctl.files import write_text
@@ -256,12 +256,10 @@ class _Look:
         timer = self.hand.bus.latency_timer
         known = "" if timer is None else f", latency timer {1e3 * timer:.0f} ms"
         console.print(f"port {self.hand.bus.port}{known}", soft_wrap=True)
-        table = columns(
-            ("servo", "joint", "model", "fw", "V", "C", "rad", "mode", "N m", "C max", "error"),
-            left=("joint", "error"),
-        )
+        numbers = ("model", "fw", "V", "C", "rad", "mode", "N m", "C max")
+        rows = table("servo", "joint", *numbers, "error", right=("servo", *numbers))
         for row in self.rows:
-            table.add_row(
+            rows.add_row(
                 str(row["servo"]),
                 row["joint"],
                 str(row.get("model", "silent")),
@@ -274,7 +272,7 @@ class _Look:
                 f"{row['temperature_limit_c']:.0f}" if "mode" in row else "",
                 row.get("error", ""),
             )
-        console.print(table)
+        console.print(rows)
         if self.cycle:
             console.print(
                 f"read and write of all: {1e3 * self.cycle['p50']:.2f} ms median, "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from dexctl.exceptions import InvalidInput
 from dexctl.validation import check_numbers, check_whole
@@ -120,48 +119,53 @@ class PPOConfig:
     """
 
     gamma: float = 0.99
-    """Discount of a control step."""
+    """Discount."""
     gae_lambda: float = 0.95
-    """Of generalised advantage estimation: 0 trusts the critic, 1 the returns."""
-    rollout_steps: int = 32
-    """Steps of every environment between two updates."""
+    """Lambda of the generalised advantage estimates."""
+    rollout_steps: int = 24
+    """Steps of each environment between two updates."""
     epochs: int = 5
-    """Passes over them at an update."""
+    """Passes over these steps in an update."""
     minibatches: int = 4
-    """Parts that each pass is split into."""
-    clip: float = 0.2
-    """How far the policy's ratio may go from 1, and the values from the ones before."""
-    clip_value_loss: bool = True
-    """Whether the values are clipped as well."""
-    value_weight: float = 1.0
-    """Weight of the critic's loss."""
-    entropy_weight: float = 0.0
-    """Weight of the policy's entropy."""
+    """Parts of a pass, each of which is one step of the optimiser."""
     learning_rate: float = 1e-3
-    """Of actor and critic; where it adapts, the first."""
-    schedule: Literal["adaptive", "fixed"] = "adaptive"
-    """adaptive: the rate follows the policy's change at an update; fixed: it stays."""
-    desired_kl: float = 0.01
-    """Kullback-Leibler divergence of an update that the adaptive rate aims at."""
-    max_grad_norm: float = 1.0
-    """Gradients longer than this are scaled down."""
-    initial_std: float = 0.5
-    """Standard deviation of the actions at the start, in units of [-1, 1]."""
+    """Of actor and critic; the first one where it adapts."""
+    learning_rate_end: float | None = None
+    """What the learning rate falls to, linearly over the training; None: it stays."""
+    target_kl: float | None = 0.01
+    """The rate adapts so that a minibatch changes the policy by about this; None: it does not."""
+    clip: float = 0.2
+    """How far the ratio of densities and the values go from where they were, at most."""
+    value_weight: float = 1.0
+    """Weight of the critic's loss, as far as the clipped gradient notices it."""
+    entropy_coefficient: float = 0.0
+    """What the policy's entropy is worth."""
+    max_gradient: float = 1.0
+    """Longest gradient, of the actor and of the critic each."""
+    initial_deviation: float = 0.5
+    """First standard deviation of the actions, in units of [-1, 1]."""
     network: tuple[int, ...] = (256, 256)
-    """Widths of the hidden layers of actor and critic."""
-    activation: Literal["relu", "elu", "tanh"] = "elu"
-    """Between the layers."""
-    normalise_observations: bool = True
-    """Bring observations to mean 0 and deviation 1 by what was seen so far."""
+    """Hidden layers of actor and critic."""
+    normalise: bool = True
+    """Whether observations are normalised by their running mean and deviation."""
 
     def __post_init__(self) -> None:
         check_whole(self, rollout_steps=1, epochs=1, minibatches=1)
         check_numbers(
             self,
-            positive=("clip", "learning_rate", "desired_kl", "max_grad_norm", "initial_std"),
-            not_negative=("value_weight", "entropy_weight"),
+            positive=("learning_rate", "clip", "max_gradient", "initial_deviation", "value_weight"),
+            not_negative=("entropy_coefficient",),
             fractions=("gamma", "gae_lambda"),
         )
+        if self.target_kl is not None:
+            check_numbers(self, positive=("target_kl",))
+        if self.learning_rate_end is not None:
+            check_numbers(self, not_negative=("learning_rate_end",))
+            if self.target_kl is not None:
+                raise InvalidInput(
+                    f"learning_rate_end is {self.learning_rate_end}; expected None where the "
+                    "learning rate adapts to target_kl"
+                )
         check_network(self.network)
 
 

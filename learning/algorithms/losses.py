@@ -42,6 +42,7 @@ def cloning_weight(
         return imitation_weight(guide_value, guided), 1.0
     scale = policy_value.abs().mean().clamp(min=1e-3).detach()
     if kind == "better":
+        assert guide_value is not None
         guided = guided * (guide_value > policy_value)
     return guided.detach(), scale
 
@@ -70,3 +71,45 @@ def squared_cloning(
     """mean(w |pi(s) - a|^2) over the batch, for TD3, whose policy has no density."""
     error = ((policy_action - action) ** 2).sum(dim=1, keepdim=True)
     return (weight * error).mean()
+
+
+def gaussian_log_prob(
+    action: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor
+) -> torch.Tensor:
+    """Log density of ``action`` ``(B, d)`` under N(mean, exp(log_std)^2), ``(B,)``."""
+    z = (action - mean) * torch.exp(-log_std)
+    return (-0.5 * z * z - log_std - 0.9189385332046727).sum(dim=1)
+
+
+def gaussian_kl(
+    old_mean: torch.Tensor, old_log_std: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor
+) -> torch.Tensor:
+    """KL(old || new) of diagonal Gaussians ``(B, d)``, ``(B,)``."""
+    shift = (torch.exp(2.0 * old_log_std) + (old_mean - mean) ** 2) * torch.exp(-2.0 * log_std)
+    return (log_std - old_log_std + 0.5 * shift - 0.5).sum(dim=1)
+
+
+def clipped_policy_loss(
+    log_ratio: torch.Tensor, advantage: torch.Tensor, clip: float
+) -> torch.Tensor:
+    """-mean(min(r A, clip(r, 1 - c, 1 + c) A)), r the ratio of densities (Schulman et al. 2017)."""
+    ratio = torch.exp(log_ratio)
+    clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
+    return -torch.minimum(ratio * advantage, clipped * advantage).mean()
+
+
+def clipped_value_loss(
+    value: torch.Tensor, old_value: torch.Tensor, returns: torch.Tensor, clip: float
+) -> torch.Tensor:
+    """Mean of the greater squared error: of the value, or of one that moved by ``clip`` at most."""
+    near = old_value + (value - old_value).clamp(-clip, clip)
+    return torch.maximum((value - returns) ** 2, (near - returns) ** 2).mean()
+
+
+def adapted_rate(rate: float, kl: float, target: float) -> float:
+    """The learning rate after an update that changed the policy by ``kl``, as rsl_rl adapts it."""
+    if kl > 2.0 * target:
+        return max(1e-5, rate / 1.5)
+    if 0.0 < kl < 0.5 * target:
+        return min(1e-2, rate * 1.5)
+    return rate

@@ -1,8 +1,8 @@
-"""What the algorithms build of perceptrons: policies of squashed actions, and their files' layers."""
+"""What the algorithms make of perceptrons: squashed actions, layers of a file, saved weights."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -45,12 +45,15 @@ def layers(actor: Perceptrons, outputs: int) -> list[tuple[np.ndarray, np.ndarra
     return [*found[:-1], (weight[:outputs], bias[:outputs])]
 
 
-def numbers(networks: Mapping[str, Perceptrons]) -> dict[str, list[torch.Tensor]]:
+def numbers(networks: Mapping[str, Perceptrons]) -> dict[str, Any]:
     """The weights of networks, by name; views, not copies."""
-    return {name: [p.detach() for p in net.parameters] for name, net in networks.items()}
+    return {
+        name: {"widths": list(net.widths), "layer_norm": net.layer_norm, "flat": net.flat.detach()}
+        for name, net in networks.items()
+    }
 
 
-def restore(networks: Mapping[str, Perceptrons], saved: Mapping[str, Sequence[Any]]) -> None:
+def restore(networks: Mapping[str, Perceptrons], saved: Mapping[str, Any]) -> None:
     """Give networks the weights that `numbers` gave.
 
     Raises:
@@ -61,12 +64,14 @@ def restore(networks: Mapping[str, Perceptrons], saved: Mapping[str, Sequence[An
             f"the saved networks are {', '.join(sorted(saved))}; expected "
             f"{', '.join(sorted(networks))}"
         )
-    for name, network in networks.items():
-        shapes = [tuple(p.shape) for p in network.parameters]
-        found = [tuple(p.shape) for p in saved[name]]
-        if found != shapes:
-            raise InvalidInput(f"the saved {name} has weights of {found}; expected {shapes}")
+    for name, net in networks.items():
+        found, normalised = list(saved[name]["widths"]), bool(saved[name]["layer_norm"])
+        fits = saved[name]["flat"].shape == net.flat.shape
+        if found != list(net.widths) or normalised != net.layer_norm or not fits:
+            raise InvalidInput(
+                f"the saved {name} has layers of {found} (layer_norm {normalised}); expected "
+                f"{list(net.widths)} (layer_norm {net.layer_norm})"
+            )
     with torch.no_grad():
-        for name, network in networks.items():
-            for ours, theirs in zip(network.parameters, saved[name], strict=True):
-                ours.copy_(theirs)
+        for name, net in networks.items():
+            net.flat.copy_(saved[name]["flat"])

@@ -81,7 +81,7 @@ class OffPolicy(Algorithm):
         if config.policy_average > 0:
             self.networks["averaged_actor"] = self.actor.copy()
         self.optimizers = {
-            name: torch.optim.Adam(self.networks[name].parameters, config.learning_rate, fused=True)
+            name: torch.optim.Adam([self.networks[name].flat], config.learning_rate, fused=True)
             for name in ("actor", "critic")
         }
 
@@ -113,7 +113,9 @@ class OffPolicy(Algorithm):
         found: dict[str, list[torch.Tensor]] = {}
         for _ in range(self.config.gradient_steps):
             self.updates += 1
-            for name, value in self._learn(self.replay.sample(self.config.batch_size), beta).items():
+            for name, value in self._learn(
+                self.replay.sample(self.config.batch_size), beta
+            ).items():
                 found.setdefault(name, []).append(value)
         self.statistics |= {name: float(torch.stack(v).mean()) for name, v in found.items()}
 
@@ -164,17 +166,14 @@ class OffPolicy(Algorithm):
             with torch.no_grad():
                 known = batch.observation[:, self._known]
                 guide_value = self.critic(known, batch.guide_action).amin(dim=0)
-        return cloning_weight(
-            self.cloning.weight, guide_value, policy_value.detach(), batch.guided
-        )
+        return cloning_weight(self.cloning.weight, guide_value, policy_value.detach(), batch.guided)
 
     def policy_layers(self) -> Layers:
         return layers(self.networks.get("averaged_actor", self.actor), self.action_size)
 
     @property
     def diverged(self) -> bool:
-        weights = [p for network in self.networks.values() for p in network.parameters]
-        return not all(bool(torch.isfinite(weight).all()) for weight in weights)
+        return not all(bool(torch.isfinite(net.flat).all()) for net in self.networks.values())
 
     def state_dict(self) -> dict[str, Any]:
         return {

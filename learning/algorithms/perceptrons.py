@@ -10,7 +10,8 @@ oneDNN (512 rows, 256 to 256, one thread). On a GPU both are one batched product
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
+from math import prod
 from typing import Any, NamedTuple
 
 import torch
@@ -37,7 +38,8 @@ class Perceptrons:
         device: where they are.
 
     Attributes:
-        weights, biases: of each layer, ``(C, outputs, inputs)`` and ``(C, outputs)``.
+        flat: all weights in one vector, so that an optimiser and a target take one call each.
+        weights, biases: of each layer, ``(C, outputs, inputs)`` and ``(C, outputs)``; views.
         scales, shifts: of each hidden layer's normalisation, ``(C, width)``; empty without.
     """
 
@@ -51,37 +53,40 @@ class Perceptrons:
         device: str = "cpu",
     ) -> None:
         self.count, self.widths, self.layer_norm = count, tuple(widths), layer_norm
+        self._allocate(device)
+        for values, inputs in zip(self.weights + self.biases, 2 * self.widths[:-1], strict=True):
+            drawn = torch.rand(values.shape, generator=generator, device=device)
+            values.copy_((2.0 * drawn - 1.0) / inputs**0.5)
+        for values in self.scales:
+            values.fill_(1.0)
+        self.flat.requires_grad_()
 
-        def uniform(inputs: int, *shape: int) -> torch.Tensor:
-            drawn = 2.0 * torch.rand(count, *shape, generator=generator, device=device) - 1.0
-            return (drawn / inputs**0.5).requires_grad_()
-
-        def constant(value: float, width: int) -> torch.Tensor:
-            return torch.full((count, width), value, device=device).requires_grad_()
-
-        self.weights = [uniform(i, o, i) for i, o in pairwise(widths)]
-        self.biases = [uniform(i, o) for i, o in pairwise(widths)]
-        hidden = widths[1:-1] if layer_norm else ()
-        self.scales = [constant(1.0, width) for width in hidden]
-        self.shifts = [constant(0.0, width) for width in hidden]
-
-    @property
-    def parameters(self) -> list[torch.Tensor]:
-        """All weights, in one order."""
-        return [*self.weights, *self.biases, *self.scales, *self.shifts]
+    def _allocate(self, device: Any) -> None:
+        pairs = list(pairwise(self.widths))
+        hidden = self.widths[1:-1] if self.layer_norm else ()
+        shapes = [(self.count, o, i) for i, o in pairs] + [(self.count, o) for _, o in pairs]
+        shapes += 2 * [(self.count, width) for width in hidden]
+        # each begins where vector registers load fastest
+        sizes = [-(-prod(shape) // 16) * 16 for shape in shapes]
+        starts = [0, *accumulate(sizes)]
+        n, m = len(pairs), len(hidden)
+        edges = (0, n, 2 * n, 2 * n + m, 2 * n + 2 * m)
+        self._layout = _Layout(list(zip(starts, shapes, strict=False)), list(pairwise(edges)))
+        self.flat = torch.zeros(starts[-1], device=device)
+        self.weights, self.biases, self.scales, self.shifts = self._layout.split(self.flat)
 
     def copy(self) -> Perceptrons:
         """Others with the same weights, which no optimiser changes."""
         made = Perceptrons.__new__(Perceptrons)
         made.count, made.widths, made.layer_norm = self.count, self.widths, self.layer_norm
-        for name in ("weights", "biases", "scales", "shifts"):
-            setattr(made, name, [p.detach().clone() for p in getattr(self, name)])
+        made._allocate(self.flat.device)
+        made.flat.copy_(self.flat.detach())
         return made
 
     def follow(self, source: Perceptrons, tau: float) -> None:
         """``self += tau (source - self)``."""
         with torch.no_grad():
-            torch._foreach_lerp_(self.parameters, source.parameters, tau)  # pyright: ignore[reportPrivateImportUsage]
+            self.flat.lerp_(source.flat, tau)
 
     def __call__(
         self,
@@ -101,43 +106,46 @@ class Perceptrons:
             first: whether to ask the first of them only, ``(1, B, outputs)``.
             plain: whether autograd does it all, which gives the same but for rounding.
         """
-        weights = [p.detach() for p in self.parameters] if frozen else self.parameters
-        if first:
-            weights = [p[:1] for p in weights]
+        flat = self.flat.detach() if frozen else self.flat
+        count = 1 if first else self.count
         if plain or observation.device.type != "cpu":
-            return self._plain(observation, action, weights)
+            return self._plain(observation, action, flat, count)
         inputs = observation if action is None else torch.cat([observation, action.detach()], dim=1)
-        shape = _Shape(len(self.weights), self.layer_norm)
         inputs = inputs.contiguous()
         if not torch.is_grad_enabled():
-            return _forth(inputs, weights, shape)[0]
-        return _Pass.apply(inputs, action, shape, *weights)
+            return _forth(inputs, self, count)[0]
+        return _Pass.apply(inputs, action, flat, self, count)
 
     def _plain(
-        self, observation: torch.Tensor, action: torch.Tensor | None, parameters: Any
+        self,
+        observation: torch.Tensor,
+        action: torch.Tensor | None,
+        flat: torch.Tensor,
+        count: int,
     ) -> torch.Tensor:
         inputs = observation if action is None else torch.cat([observation, action], dim=1)
-        found = inputs.expand(len(parameters[0]), *inputs.shape)
-        weights, biases, scales, shifts = _split(parameters, len(self.weights))
+        found = inputs.expand(count, *inputs.shape)
+        weights, biases, scales, shifts = self._layout.split(flat)
         for k, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-            found = torch.baddbmm(bias[:, None], found, weight.transpose(1, 2))
+            found = torch.baddbmm(bias[:count, None], found, weight[:count].transpose(1, 2))
             if k < len(weights) - 1:
                 if self.layer_norm:
                     found = functional.layer_norm(found, (found.shape[-1],), eps=EPSILON)
-                    found = found * scales[k][:, None] + shifts[k][:, None]
+                    found = found * scales[k][:count, None] + shifts[k][:count, None]
                 found = functional.relu(found)
         return found
 
 
-class _Shape(NamedTuple):
-    layers: int
-    layer_norm: bool
+class _Layout(NamedTuple):
+    """Where in a vector the pieces (start, shape) are, and which of them belong together."""
 
+    pieces: list[tuple[int, tuple[int, ...]]]
+    groups: list[tuple[int, int]]
 
-def _split(parameters: Sequence[Any], n: int) -> tuple[Sequence[Any], ...]:
-    """Weights, biases, scales and shifts, of `Perceptrons.parameters` for n layers."""
-    edges = (0, n, 2 * n, 3 * n - 1, 4 * n - 2)
-    return tuple(parameters[a:b] for a, b in pairwise(edges))
+    def split(self, flat: torch.Tensor) -> list[list[torch.Tensor]]:
+        """Views: weights, biases, scales and shifts."""
+        views = [flat[start : start + prod(shape)].view(shape) for start, shape in self.pieces]
+        return [views[a:b] for a, b in self.groups]
 
 
 def product(
@@ -154,15 +162,15 @@ def product(
 
 
 def _forth(
-    inputs: torch.Tensor, parameters: Sequence[torch.Tensor], shape: _Shape
-) -> tuple[torch.Tensor, list[Any]]:
+    inputs: torch.Tensor, net: Perceptrons, count: int
+) -> tuple[torch.Tensor, list[list[Any]]]:
     """The values, and for each perceptron and layer what the way back needs."""
-    weights, biases, scales, shifts = _split([p.unbind() for p in parameters], shape.layers)
+    weights, biases, scales, shifts = net.weights, net.biases, net.scales, net.shifts
     values, kept = [], []
-    for c in range(len(weights[0])):
+    for c in range(count):
         found, path = inputs, []
-        for k in range(shape.layers - 1):
-            if shape.layer_norm:
+        for k in range(len(weights) - 1):
+            if net.layer_norm:
                 bare = product(found, weights[k][c], biases[k][c])
                 normal, mean, deviation = torch.native_layer_norm(
                     bare, bare.shape[1:], scales[k][c], shifts[k][c], EPSILON
@@ -184,43 +192,44 @@ class _Pass(torch.autograd.Function):
         ctx: Any,
         inputs: torch.Tensor,
         action: torch.Tensor | None,
-        shape: _Shape,
-        *parameters: torch.Tensor,
+        flat: torch.Tensor,
+        net: Perceptrons,
+        count: int,
     ) -> torch.Tensor:
-        values, ctx.kept = _forth(inputs, parameters, shape)
-        ctx.shape, ctx.parameters = shape, parameters
-        ctx.width = 0 if action is None else action.shape[1]
+        values, ctx.kept = _forth(inputs, net, count)
+        ctx.net, ctx.width = net, 0 if action is None else action.shape[1]
         return values
 
     @staticmethod
     def backward(ctx: Any, *grads: torch.Tensor) -> tuple[Any, ...]:
-        n, learns = ctx.shape.layers, any(ctx.needs_input_grad[3:])
-        weights, _, scales, shifts = _split(ctx.parameters, n)
-        found = [torch.empty_like(p) for p in ctx.parameters] if learns else []
-        by_weight, by_bias, by_scale, by_shift = _split(found, n)
-        by_action = None
+        net: Perceptrons = ctx.net
+        learns, by_action = ctx.needs_input_grad[2], None
+        # what `first` leaves out has no gradient, nor have the gaps between the pieces
+        flat = torch.zeros_like(net.flat) if learns else None
+        pieces = [[], [], [], []] if flat is None else net._layout.split(flat)
+        by_weight, by_bias, by_scale, by_shift = pieces
         values = grads[0].contiguous()
         for c, path in enumerate(ctx.kept):
             back = values[c]
-            for k in range(n - 1, -1, -1):
+            for k in range(len(path) - 1, -1, -1):
                 given = path[k][0]
                 if learns:
                     by_weight[k][c] = product(back.t(), given.t())
                     torch.sum(back, dim=0, out=by_bias[k][c])
                 if k == 0:
                     break
-                back = product(back, weights[k][c].t())
+                back = product(back, net.weights[k][c].t())
                 back = torch.ops.aten.threshold_backward(back, given, 0.0)
-                if ctx.shape.layer_norm:
+                if net.layer_norm:
                     _, bare, mean, deviation = path[k - 1]
                     back, scale, shift = torch.ops.aten.native_layer_norm_backward(
                         back, bare, bare.shape[1:], mean, deviation,
-                        scales[k - 1][c], shifts[k - 1][c], (True, learns, learns),
+                        net.scales[k - 1][c], net.shifts[k - 1][c], (True, learns, learns),
                     )  # fmt: skip
                     if learns:
                         by_scale[k - 1][c], by_shift[k - 1][c] = scale, shift
             if ctx.needs_input_grad[1]:
-                columns = weights[0][c][:, -ctx.width :].contiguous()
+                columns = net.weights[0][c][:, -ctx.width :].contiguous()
                 one = product(back, columns.t())
                 by_action = one if by_action is None else by_action.add_(one)
-        return None, by_action, None, *(found if learns else [None] * len(ctx.parameters))
+        return None, by_action, flat, None, None

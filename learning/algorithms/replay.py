@@ -104,7 +104,12 @@ class Replay:
         n = self.num_envs
         guided = np.zeros(n) if step.guided is None else step.guided
         single = (step.reward, step.terminated, step.ended, guided)
-        parts = [step.observation, step.next_observation, step.action, *(s[:, None] for s in single)]
+        parts = [
+            step.observation,
+            step.next_observation,
+            step.action,
+            *(s[:, None] for s in single),
+        ]
         if self.labels:
             parts.append(step.action if step.guide_action is None else step.guide_action)
         np.concatenate(parts, axis=1, out=self._rows[self.position], casting="unsafe")
@@ -170,7 +175,9 @@ class Replay:
         rows = np.asarray(saved["rows"])
         expected = (len(self._rows) if saved["full"] else saved["position"], *self._rows.shape[1:])
         if rows.shape != expected or len(rows) > len(self._rows):
-            raise InvalidInput(f"the saved replay buffer has shape {rows.shape}; expected {expected}")
+            raise InvalidInput(
+                f"the saved replay buffer has shape {rows.shape}; expected {expected}"
+            )
         self._rows[: len(rows)] = rows
         self.position, self.full = int(saved["position"]), bool(saved["full"])
         self._rng.bit_generator.state = saved["rng"]

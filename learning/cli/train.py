@@ -8,8 +8,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
+from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
-from dexctl.cli.parsing import Flag, given, make_folder
+from dexctl.cli.parsing import Switch, given
 from dexctl.exceptions import InvalidInput, MissingExtra, UnknownName
 from dexctl.settings import NESTED, difference, to_plain
 from learning.config import TrainConfig, recipe
@@ -43,7 +44,7 @@ class Train:
     """Folder of the run; by default runs/METHOD-CONTROLLERS-OBJECT-SEED."""
     resume: Path | None = None
     """Folder of a run to go on with; of the other options only --steps and --json count."""
-    json: Flag = False
+    json: Switch = False
     """Print the last figures as JSON."""
 
     @classmethod

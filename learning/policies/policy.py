@@ -148,10 +148,10 @@ class Policy(Controller):
         """Nothing to forget: the policy has no memory."""
 
     def state_dict(self) -> dict[str, Any]:
-        return {}
+        return self._signed()
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Nothing to continue from."""
+        self._parts(saved)
 
     def predict(self, observation: ArrayLike) -> Floats:
         """The action ``(..., d)`` in [-1, 1] for observations ``(..., k)``."""

@@ -6,10 +6,7 @@ import torch
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
-from learning.algorithms.base import Algorithm, Cloning
-
-from learning.algorithms.sac import SAC
-from learning.algorithms.td3 import TD3
+from learning.algorithms import Algorithm, Cloning, make
 from learning.config import TrainConfig
 from learning.envs.vector import ManipulationVectorEnv, make_vector
 from learning.exploration.guide import Guide
@@ -35,25 +32,18 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
     Raises:
         InvalidInput: there is no such device here.
     """
-    sizes = {
-        "groups": env.groups,
-        "observation_size": int(env.single_observation_space.shape[0]),  # type: ignore[index]
-        "action_size": env.hand.nq,
-        "num_envs": env.num_envs,
-    }
-    own = {"seed": config.seed, "device": device(config.device)}
-    if config.algorithm == "ppo":
-        from learning.algorithms.ppo import PPO
-
-        return PPO(config.ppo, **sizes, **own)
     guidance = config.guidance
-    own |= {
-        "labels": guidance.labels_all,
-        "cloning": Cloning(kind=guidance.cloning, weight=guidance.cloning_weight),
-    }
-    if config.algorithm == "td3":
-        return TD3(config.td3, **sizes, **own)
-    return SAC(config.sac, **sizes, **own)
+    return make(
+        config.learner,
+        groups=env.groups,
+        observation_size=int(env.single_observation_space.shape[0]),  # type: ignore[index]
+        action_size=env.hand.nq,
+        num_envs=env.num_envs,
+        labels=guidance.labels_all,
+        cloning=Cloning(kind=guidance.cloning, weight=guidance.cloning_weight),
+        seed=config.seed,
+        device=device(config.device),
+    )
 
 
 def device(name: str) -> str:

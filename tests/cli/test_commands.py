@@ -8,7 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from dexctl.cli import main
+from dexctl.sim import GraspStates, Scene
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -124,9 +128,75 @@ def test_check_grasp() -> None:
 
 
 def test_check_grasp_fails_where_the_grasp_does() -> None:
-    done = dexctl_command("check-grasp", "--friction", "0.01", "--num-envs", "2")
-    assert done.returncode == 1
-    assert "0 of 2" in done.stdout
+    done = dexctl_command("check-grasp", "--push-force", "30", "--num-envs", "2", "--json")
+    assert done.returncode == 1, done.stderr
+    found = json.loads(done.stdout)
+    assert found["dynamic"]["stable"] == [False, False]
+
+
+@pytest.fixture
+def grasps(tmp_path: Path) -> Path:
+    """Two grasps of a cylinder, the second of them far from the hand, and one of a cube."""
+    scene = Scene.build("dex5", "cylinder")
+    settled = scene.settled
+    pose = settled.qpos[scene.object_qpos]
+    positions = np.tile(pose[:3], (3, 1))
+    positions[1, 2] += 1.0
+    GraspStates(
+        hand="dex5",
+        q=np.tile(settled.qpos[scene.qpos_columns], (3, 1)),
+        q_target=np.tile(settled.q_target, (3, 1)),
+        object_position=positions,
+        object_quaternion=np.tile(pose[3:], (3, 1)),
+        object=np.array(["cylinder", "cylinder", "cube"]),
+        joint_names=np.array(scene.hand.joint_names),
+    ).save(tmp_path / "grasps.npz")
+    return tmp_path / "grasps.npz"
+
+
+def test_check_grasp_of_a_file(grasps: Path, tmp_path: Path) -> None:
+    arguments = ("check-grasp", "--initial-states", str(grasps), "--seconds", "0.5", "--json")
+    done = dexctl_command(*arguments, "--object", "cylinder", "--out", str(tmp_path / "out"))
+    assert done.returncode == 1, done.stderr
+    found = json.loads(done.stdout)
+    assert found["contacts"] == [5, 0]
+    assert found["dynamic"]["stable"] == [True, False]
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    drawn = set() if "no pictures" in done.stderr else {"grasp_0.png", "grasp_1.png"}
+    assert written == {"check-grasp.json", *drawn}
+    first = dexctl_command(*arguments, "--object", "cylinder", "--num-envs", "1")
+    assert first.returncode == 0, first.stderr
+    for more, said in (
+        (("--object", "sphere"), "has none of the object 'sphere', only of cube, cylinder"),
+        (("--num-envs", "4"), "--num-envs is 4; --initial-states has 1 of the object 'cube'"),
+    ):
+        done = dexctl_command(*arguments, *more)
+        assert done.returncode == 2
+        assert said in one_line(done)
+
+
+def test_rotate_about_another_axis_with_limits(tmp_path: Path) -> None:
+    done = dexctl_command(
+        "rotate", "--controller", "igm", "--object", "cylinder", "--num-envs", "2",
+        "--seconds", "2", "--axis=-z", "--as-real", "--action-latency", "0.1",
+        "--joint-noise", "0.001", "--push-force", "0.1", "--json", "--out", str(tmp_path),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["axis"] == [0, 0, -1]
+    assert found["rotation_rad"]["median"] > 0.1
+    limits = {"speed_limit": 0.6, "torque_limit": 0.5, "action_latency": 0.1}
+    assert found["scene"]["limits"] == limits
+    page = (tmp_path / "report.html").read_text()
+    for what, value in (
+        ("axis", "-z"),
+        ("speed limit", "0.6 rad/s"),
+        ("action latency", "0.1 s"),
+        ("joint noise", "0.001 rad"),
+        ("push force", "0.1 N"),
+    ):
+        assert f"<td>{what}</td><td>{value}</td>" in page
+    assert "--axis=-z --seconds 2.0" in page
 
 
 @pytest.mark.parametrize(
@@ -137,8 +207,16 @@ def test_check_grasp_fails_where_the_grasp_does() -> None:
         ("rotate --object ball", "unknown object 'ball'; known: cube, sphere, cylinder"),
         ("rotate --controller walk", "unknown controller 'walk'; known: igm, switch, gait"),
         ("rotate --gravity left", "unknown gravity 'left'; known: up, down"),
-        ("rotate --gravity 0,0", "expected up, down, or three numbers"),
-        ("rotate --gravity 0,0,nan", "expected up, down, or three numbers"),
+        ("rotate --gravity 0,0", "'0,0' is neither a name nor three finite numbers"),
+        ("rotate --gravity 0,0,nan", "'0,0,nan' is neither a name nor three"),
+        ("rotate --axis w", "unknown axis 'w'; known: x, y, z"),
+        ("rotate --axis 0,0,0", "axis is (0.0, 0.0, 0.0); expected x, y, z or a vector"),
+        ("rotate --object cube sphere", "--object is cube sphere; this command takes one"),
+        ("rotate --object", "object is (); expected a name"),
+        ("rotate --initial-states /none.npz", "'/none.npz' cannot be read"),
+        ("rotate --sensor-latency -1", "sensor_latency is -1.0"),
+        ("rotate --push-seconds 0", "push_seconds is 0.0"),
+        ("rotate --control-period 0", "control_period is 0.0"),
         ("rotate --seconds nan", "--seconds is nan; expected a finite number"),
         ("rotate --seconds -1", "--seconds is -1.0"),
         ("rotate --seconds long", "could not convert string to float: 'long'"),
@@ -146,20 +224,32 @@ def test_check_grasp_fails_where_the_grasp_does() -> None:
         ("rotate --num-envs 2.5", "--num-envs"),
         ("rotate --colour red", "Unrecognized options: --colour"),
         ("rotate --object-size 0", "object_size is 0.0"),
-        ("rotate --friction nan", "friction is nan"),
-        ("rotate --latency -1", "--latency is -1.0; expected a number above 0, up to 10"),
-        ("rotate --speed-limit nan", "--speed-limit is nan"),
+        ("rotate --action-latency -1", "action_latency is -1.0"),
+        ("rotate --action-latency 11", "action_latency is 11.0; expected 0 to 10 s"),
+        ("rotate --speed-limit nan", "speed_limit is nan"),
         ("rotate --video", "--video is given without --out"),
         ("check-grasp --num-envs 0", "--num-envs is 0"),
+        ("check-grasp --seconds 0", "--seconds is 0.0"),
+        ("check-grasp --initial-states /none.npz", "'/none.npz' cannot be read"),
+        ("check-grasp --object cube sphere", "this command takes one object"),
+        ("check-grasp --out /proc/none", "--out is '/proc/none'; cannot write there"),
         ("check-grasp --object mesh", "a mesh file goes with object 'mesh' only"),
+        ("hands --seed 3", "Unrecognized options: --seed, 3"),
         ("demo --seconds inf", "--seconds is inf"),
+        ("demo --axis up", "unknown axis 'up'"),
+        ("demo --object cube sphere", "this command takes one object"),
         ("demo --out /proc/none/such", "--out is '/proc/none/such'; cannot write there"),
     ],
 )
-def test_bad_arguments_get_one_line_and_code_2(arguments: str, said: str) -> None:
-    done = dexctl_command(*arguments.split())
-    assert done.returncode == 2, done.stderr
-    assert said in one_line(done)
+def test_bad_arguments_get_one_line_and_code_2(
+    arguments: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments.split()) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
+    assert line.startswith("dexctl: ")
+    assert said in line
 
 
 def test_a_failed_run_gets_one_line_and_code_1(tmp_path: Path) -> None:

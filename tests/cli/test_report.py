@@ -9,10 +9,13 @@ import pytest
 
 from dexctl.exceptions import InvalidInput
 from dexctl.files import aside, write_text
-from dexctl.report import figures, html, summarise, summarise_batch
+from dexctl.limits import HandLimits
+from dexctl.report import figures, html, summarise, summarise_batch, words
+from dexctl.report.conditions import not_as_usual
 from dexctl.report.style import drawing
 from dexctl.report.summary import share_of
-from dexctl.sim import Trace
+from dexctl.sim import Push, SceneConfig, Sensing, Trace
+from dexctl.statistics import Estimate
 
 
 def trace(batch: tuple[int, ...] = (), **changes: object) -> Trace:
@@ -141,3 +144,61 @@ def _interrupted(path: Path) -> None:
     with aside(path) as part:
         part.write_text("half of the sec")
         raise KeyboardInterrupt
+
+
+def test_conditions_say_what_is_not_as_usual() -> None:
+    config = SceneConfig(
+        object=("sphere",),
+        threads=1,
+        stiffness=2.0,
+        sensing=Sensing(normal_noise=0.1, touch_threshold=0.2),
+        push=Push(push_force=1.0),
+        limits=HandLimits.real(),
+    )
+    assert not_as_usual(config) == [
+        ("stiffness", "2 N m/rad"),
+        ("normal noise", "0.1 rad"),
+        ("touch threshold", "0.2 N"),
+        ("push force", "1 N"),
+        ("speed limit", "0.6 rad/s"),
+        ("torque limit", "0.5 N m"),
+        ("action latency", "0.05 s"),
+    ]
+    assert not_as_usual(SceneConfig()) == []
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (words.between(12.3, 11.0, 13.0, "rad", 1), "12.3 rad (11.0 to 13.0)"),
+        (words.between(-0.001, -0.5, 0.5), "0.00 (-0.50 to 0.50)"),
+        (words.between(0.5, 0.25, 0.75, "%", 0, 100.0), "50 % (25 to 75)"),
+        (words.between(90.0, 80.0, 100.0, "°", 0), "90° (80 to 100)"),
+        (words.between(None, None, None), "-"),
+        (words.between(1.0, np.nan, np.nan, "s"), "1.00 s"),
+        (words.interval(Estimate(1.0, 0.5, 1.5, 8), "rad", 1), "1.0 rad (0.5 to 1.5)"),
+        (words.spread({"median": 1.0, "p10": 0.0, "p90": 2.0}, "s", 1), "1.0 s (0.0 to 2.0)"),
+        (words.number(-0.0049, 2), "0.00"),
+        (words.number(-0.0151, 2), "-0.02"),
+        (words.number(-10.0, 0), "-10"),
+        (words.number(np.inf, 2), "-"),
+        (words.percent(0.456), "46 %"),
+        (words.percent(None), "-"),
+        (words.share(8, 10, 0.49, 0.943), "8 of 10, 80 % (49 to 94 %)"),
+        (words.about("-x"), "about -x"),
+        (words.about((0.0, 0.6, 0.8)), "about (0, 0.6, 0.8)"),
+    ],
+)
+def test_figures_as_people_read_them(found: str, said: str) -> None:
+    assert found == said
+
+
+def test_one_trial_of_a_batch() -> None:
+    whole = trace((3,))
+    alone = whole.trial(1)
+    assert alone.rotation.shape == alone.held.shape == (11,)
+    assert alone.contact_normal.shape == (11, 2, 3)
+    assert {name: value.shape for name, value in alone.diagnostics.items()} == {
+        "0.residual": (10,), "finger": (10,),
+    }  # fmt: skip
+    assert summarise(alone) == summarise(whole, 1)

@@ -1,102 +1,49 @@
-"""The updates: equal to stable-baselines3's without controllers; the cloning by hand."""
+"""The losses and updates of SAC and TD3: by hand, and against plain autograd."""
 
 from __future__ import annotations
 
-from copy import deepcopy
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
 pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
 
 import torch
-from stable_baselines3 import SAC, TD3
-from stable_baselines3.common.logger import configure
-from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from learning.agents import GuidedSAC, GuidedTD3
-from learning.agents.guided import follow, frozen
-from learning.agents.losses import (
+from learning.algorithms import SAC, TD3, Cloning, SACConfig, TD3Config
+from learning.algorithms.losses import (
+    cloning_weight,
     imitation_weight,
     likelihood_cloning,
     squared_cloning,
     squashed_log_prob,
 )
-from learning.agents.replay import GuidedSamples
-from learning.agents.sac import squashed_sample
+from learning.algorithms.networks import gaussian, squashed_sample
+from learning.algorithms.replay import Batch
 
-KWARGS: dict[str, Any] = {
-    "seed": 1,
-    "device": "cpu",
-    "buffer_size": 100,
-    "gamma": 0.9,
-    "policy_kwargs": {"net_arch": [16, 16]},
-}
+KINDS = [(SAC, SACConfig), (TD3, TD3Config)]
 
 
-def batches(count: int, guided: float = 0.0) -> list[GuidedSamples]:
-    """Transitions of Pendulum's shapes: 3 numbers observed, 1 action."""
-    generator = torch.Generator().manual_seed(0)
-
-    def draw(*shape: int) -> torch.Tensor:
-        return 2 * torch.rand(*shape, generator=generator) - 1
-
-    return [
-        GuidedSamples(
-            draw(8, 3), draw(8, 1), draw(8, 3), (draw(8, 1) > 0.5).float(), draw(8, 1), None,
-            torch.full((8, 1), guided), draw(8, 1),
-        )
-        for _ in range(count)
-    ]  # fmt: skip
+def make(kind: Any, config: Any, *, cloning: Cloning | None = None, **options: Any) -> Any:
+    """The actor sees 3 of 5 numbers; 2 actions."""
+    options = {"network": (16, 16), "buffer_size": 600, "gamma": 0.9, **options}
+    return kind(
+        config(**options), groups={"policy": slice(0, 3), "critic": slice(0, 5)},
+        observation_size=5, action_size=2, num_envs=4, cloning=cloning, seed=1,
+    )  # fmt: skip
 
 
-def feed(agent: Any, given: list[Any]) -> None:
-    """Make ``agent`` sample these batches, one after the other."""
-    left = iter(given)
-    agent.replay_buffer.sample = lambda *_args, **_kwargs: next(left)
-    agent.set_logger(configure(None, []))
+def batch(rows: int = 64, seed: int = 0, guided: float = 1.0) -> Batch:
+    generator = torch.Generator().manual_seed(seed)
 
+    def draw(width: int) -> torch.Tensor:
+        return 2 * torch.rand(rows, width, generator=generator) - 1
 
-@pytest.mark.parametrize(
-    ("ours", "stock", "options"),
-    [
-        (GuidedSAC, SAC, {"ent_coef": 0.0}),
-        (GuidedSAC, SAC, {"ent_coef": 0.2}),
-        (GuidedTD3, TD3, {}),
-    ],
-)
-def test_updates_equal_stock(ours: Any, stock: Any, options: dict[str, Any]) -> None:
-    given = batches(6)
-    found = []
-    for kind in (ours, stock):
-        env = gymnasium.make("Pendulum-v1")
-        agent = kind("MlpPolicy", env, **deepcopy(KWARGS), **options)
-        plain = [ReplayBufferSamples(*batch[:5]) for batch in given]
-        feed(agent, given if kind is ours else plain)
-        torch.manual_seed(7)
-        agent.train(6, 8)
-        found.append(agent.policy.state_dict())
-    a, b = found
-    assert a.keys() == b.keys()
-    for name in a:
-        torch.testing.assert_close(a[name], b[name], rtol=1e-4, atol=1e-6)
-
-
-def test_fused_adam_equals_plain_adam() -> None:
-    found = []
-    for fused in (True, False):
-        kwargs = {**KWARGS["policy_kwargs"], "optimizer_kwargs": {"fused": fused}}
-        env = gymnasium.make("Pendulum-v1")
-        agent = GuidedSAC("MlpPolicy", env, **{**KWARGS, "policy_kwargs": kwargs})
-        feed(agent, batches(4))
-        torch.manual_seed(7)
-        agent.train(4, 8)
-        found.append(agent.policy.state_dict())
-    for name in found[0]:
-        torch.testing.assert_close(found[0][name], found[1][name], rtol=1e-4, atol=1e-6)
+    return Batch(
+        draw(5), draw(2), draw(5), draw(1), 0.9 * (draw(1) > 0).float(),
+        torch.full((rows, 1), guided), draw(2),
+    )  # fmt: skip
 
 
 def test_log_prob_by_hand() -> None:
@@ -111,10 +58,10 @@ def test_log_prob_by_hand() -> None:
 def test_log_prob_of_a_sample_is_that_of_its_action() -> None:
     torch.manual_seed(0)
     mean, log_std = torch.randn(50, 4), 0.3 * torch.randn(50, 4) - 1.0
-    action, log_prob = squashed_sample(mean, log_std, True)
+    action, log_prob = squashed_sample(mean, log_std, torch.randn(50, 4), True)
+    assert isinstance(log_prob, torch.Tensor)
     inside = (action.abs() < 0.99).all(dim=1)
     again = squashed_log_prob(action, mean, log_std)
-    assert isinstance(log_prob, torch.Tensor)
     assert inside.sum() > 20
     torch.testing.assert_close(log_prob[inside], again[inside], rtol=1e-3, atol=1e-3)
 
@@ -151,40 +98,119 @@ def test_squared_cloning_by_hand() -> None:
     assert float(squared_cloning(action, policy, weight)) == pytest.approx((2 * 1 + 4 * 0.25) / 2)
 
 
-@pytest.mark.parametrize("kind", [GuidedSAC, GuidedTD3])
-def test_cloning_brings_the_policy_to_the_controller(kind: Any) -> None:
-    """With a positive value, the deterministic policy comes closer to the controller's actions."""
-    agent = kind(
-        "MlpPolicy", gymnasium.make("Pendulum-v1"), **{**deepcopy(KWARGS), "learning_rate": 3e-3}
+def test_cloning_weights_by_hand() -> None:
+    guide_value = torch.tensor([[2.0], [-1.0], [3.0], [5.0]])
+    policy_value = torch.tensor([[1.0], [1.0], [4.0], [-2.0]])
+    guided = torch.tensor([[1.0], [1.0], [1.0], [0.0]])
+
+    def weights(kind: str) -> tuple[list[float], float]:
+        weight, scale = cloning_weight(kind, guide_value, policy_value, guided)
+        return weight.flatten().tolist(), float(scale)
+
+    assert weights("value") == ([2.0, 0.0, 3.0, 0.0], 1.0)
+    assert weights("equal") == ([1.0, 1.0, 1.0, 0.0], 2.0)  # mean |Q| of the policy's actions
+    assert weights("better") == ([1.0, 0.0, 0.0, 0.0], 2.0)
+
+
+def test_sac_update_equals_textbook() -> None:
+    """Critic, target and actor after one update, with autograd and Adam written down here."""
+    agent, given, entropy = make(SAC, SACConfig, entropy_coefficient=0.2, tau=0.1), batch(), 0.2
+    again = make(SAC, SACConfig, entropy_coefficient=0.2, tau=0.1)
+    noise = torch.Generator()
+    noise.set_state(agent._random.get_state())
+    next_noise, this_noise = (torch.randn(64, 2, generator=noise) for _ in range(2))
+
+    def pi(observation: torch.Tensor, drawn: torch.Tensor) -> Any:
+        out = again.actor(observation[:, :3], plain=True)[0]
+        return squashed_sample(out[:, :2], out[:, 2:].clamp(-20, 2), drawn, True)
+
+    with torch.no_grad():
+        action, log_prob = pi(given.next_observation, next_noise)
+        twins = again.critic(given.next_observation, action, plain=True)
+        target = given.reward + given.discount * (
+            torch.minimum(twins[0], twins[1]) - entropy * log_prob
+        )
+    twins = again.critic(given.observation, given.action, plain=True)
+    loss = 0.5 * torch.stack([((one - target) ** 2).mean() for one in twins]).sum()
+    optimizer = torch.optim.Adam([again.critic.flat], 3e-4)
+    loss.backward()
+    optimizer.step()
+    action, log_prob = pi(given.observation, this_noise)
+    twins = again.critic(given.observation, action, plain=True)
+    actor_loss = (entropy * log_prob - torch.minimum(twins[0], twins[1])).mean()
+    optimizer = torch.optim.Adam([again.actor.flat], 3e-4)
+    (again.actor.flat.grad,) = torch.autograd.grad(actor_loss, [again.actor.flat])
+    optimizer.step()
+    again.networks["critic_target"].follow(again.critic, 0.1)
+
+    found = agent._learn(given, 0.0)
+    assert float(found["critic_loss"]) == pytest.approx(loss.item(), rel=1e-5)
+    assert float(found["actor_loss"]) == pytest.approx(actor_loss.item(), rel=1e-5)
+    for name, net in agent.networks.items():
+        torch.testing.assert_close(net.flat, again.networks[name].flat, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "config"), KINDS)
+def test_targets_by_hand(kind: Any, config: Any) -> None:
+    """With critics of value 4 everywhere: r + 0.9 * 4, or r alone where it terminated."""
+    agent = make(kind, config)
+    with torch.no_grad():
+        for name in ("critic", "critic_target"):
+            agent.networks[name].weights[-1].zero_()
+            agent.networks[name].biases[-1].fill_(4.0)
+    given = batch(2)._replace(
+        reward=torch.tensor([[1.0], [2.0]]), discount=torch.tensor([[0.9], [0.0]])
     )
-    agent._beta = lambda: 100.0
-    batch = batches(1, guided=1.0)[0]
-    batch = batch._replace(guide_actions=0.6 * torch.ones(8, 1), rewards=10 * torch.ones(8, 1))
+    found = agent._learn(given, 0.0)
+    # errors 4 - 4.6 and 4 - 2, of both critics
+    factor = 0.5 if kind is SAC else 1.0
+    assert float(found["critic_loss"]) == pytest.approx(factor * 2 * (0.36 + 4.0) / 2, rel=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "config"), KINDS)
+@pytest.mark.parametrize("cloning", ["likelihood", "squared"])
+@pytest.mark.parametrize("weight", ["value", "equal", "better"])
+def test_cloning_brings_the_policy_to_the_controller(
+    kind: Any, config: Any, cloning: str, weight: str
+) -> None:
+    agent = make(kind, config, learning_rate=3e-3, cloning=Cloning(kind=cloning, weight=weight))
+    given = batch()._replace(
+        guide_action=torch.full((64, 2), 0.6), reward=torch.full((64, 1), 10.0)
+    )
 
     def error() -> float:
         with torch.no_grad():
-            obs = batch.observations
-            action = agent.actor(obs, deterministic=True) if kind is GuidedSAC else agent.actor(obs)
-        return float((action - 0.6).abs().mean())
+            observed = given.observation[:, :3]
+            mean = gaussian(agent.actor, observed)[0] if kind is SAC else agent.actor(observed)[0]
+            return float((torch.tanh(mean) - 0.6).abs().mean())
 
     before = error()
-    feed(agent, [batch] * 150)
-    agent.train(150, 8)
-    assert error() < 0.3 * before
-    assert agent.statistics["bc_loss"] != 0.0
+    for _ in range(150):
+        agent.updates += 1
+        found = agent._learn(given, 100.0)
+    assert error() < (0.7 if weight == "better" else 0.3) * before
+    assert "bc_loss" in found or kind is TD3
 
 
-def test_frozen_lets_gradients_through_and_leaves_none() -> None:
-    layer = torch.nn.Linear(2, 1)
-    x = torch.ones(1, 2, requires_grad=True)
-    with frozen(layer):
-        layer(x).sum().backward()
-    assert layer.weight.grad is None and x.grad is not None
-    assert layer.weight.requires_grad
+@pytest.mark.parametrize(("kind", "config"), KINDS)
+def test_the_actor_is_updated_less_often_and_averaged(kind: Any, config: Any) -> None:
+    agent = make(kind, config, policy_delay=3, policy_average=0.9)
+    mean = agent.networks["averaged_actor"]
+    for i in range(1, 7):
+        old, average = agent.actor.flat.detach().clone(), mean.flat.clone()
+        agent.updates = i
+        agent._learn(batch(seed=i), 0.0)
+        assert old.equal(agent.actor.flat) == (i % 3 != 0)
+        if i % 3 == 0:
+            torch.testing.assert_close(mean.flat, 0.9 * average + 0.1 * agent.actor.flat.detach())
+    weight, bias = agent.policy_layers()[-1]
+    assert weight.shape == (2, 16) and bias.shape == (2,)
+    assert (weight == mean.weights[-1][0, :2].numpy()).all()
 
 
-def test_follow() -> None:
-    target, source = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
-    expected = 0.75 * target.weight.detach() + 0.25 * source.weight.detach()
-    follow(target, source, 0.25)
-    torch.testing.assert_close(target.weight.detach(), expected)
+def test_the_learning_rate_falls() -> None:
+    config = SACConfig(learning_rate=1e-3, learning_rate_end=0.0)
+    assert [config.rate(left) for left in (1.0, 0.5, 0.25, 0.0)] == pytest.approx(
+        [1e-3, 1e-3, 5e-4, 0.0]
+    )
+    assert SACConfig().rate(0.0) == 3e-4
