@@ -19,6 +19,7 @@ from rich.table import Table
 
 from dexctl import HandModel
 from dexctl.cli.output import notes, print_json, results, table
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import only
 from dexctl.sim.scene_config import SceneConfig
@@ -115,7 +116,7 @@ class Calibrate(HandOptions):
     """Torque per current of the servos [N m/A]; the default is from the data sheet."""
     seed: int = 0
     """Seed of the emulated signs and zeros."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the summary."""
     scene: Annotated[SceneConfig, only(EMPTY, "hand")] = EMPTY
 

@@ -12,6 +12,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from dexctl import HandModel, hands
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import differing, only
 from dexctl.sim.scene_config import SceneConfig
@@ -62,7 +63,7 @@ class HandOptions:
 
     port: str | None = None
     """Serial port of the servos; none: the only one there is."""
-    emulate: bool = False
+    emulate: Switch = False
     """Run against emulated servos instead of a hand."""
     calibration: Path | None = None
     """File that `dexctl hardware calibrate` wrote; none: servos 1 to d, mounted straight."""

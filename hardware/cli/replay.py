@@ -9,8 +9,9 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
-from dexctl.cli.parsing import make_folder
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import only
 from dexctl.sim.scene_config import SceneConfig
@@ -37,7 +38,7 @@ class ReplayLog(HandOptions):
     """The MCAP file of a run."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html of the replay."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the summary."""
     scene: Annotated[
         SceneConfig, only(EMPTY, "hand", "stiffness", "damping", "limits.action_latency")
@@ -107,7 +108,7 @@ class Report:
     """The MCAP file of a run."""
     out: Path | None = None
     """The HTML file; default report.html beside the log."""
-    json: bool = False
+    json: Switch = False
     """Print the figures as one JSON object as well."""
 
     def run(self) -> int:

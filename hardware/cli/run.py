@@ -13,8 +13,9 @@ import numpy as np
 import tyro
 
 from dexctl import Controller, HandModel, controllers
+from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.output import facts, notes, print_json, results
-from dexctl.cli.parsing import check_seconds, make_folder
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import only, to_plain
 from dexctl.sim.scene_config import SceneConfig
@@ -61,7 +62,7 @@ class Run(HandOptions):
     """Seed of the random numbers of the controller, and of an emulated scene."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the summary."""
     scene: Annotated[SceneConfig, only(_HELD, *_SETTINGS)] = _HELD
 
