@@ -48,9 +48,9 @@ def drops_section(found: Inspection) -> str:
             rows,
         ),
         html.paragraph(
-            f"From each drop (centre more than {distance:g} m from its start) back to the end of the "
-            f"last sound spell of at least {rule.spell:g} s, the onset. What failed first after it is "
-            "the cause, the first of these that holds: something other than a fingertip touched; "
+            f"From each drop (centre more than {distance:g} m from its start) back to the end of "
+            f"the last sound spell of at least {rule.spell:g} s, the onset. What failed first after "
+            "it is the cause, the first of these that holds: something other than a fingertip touched; "
             f"tilt above {rule.tilt:g} rad; a finger let go, with a joint's set-point at the end "
             f"of its range, or its set-point taken back by {1e3 * rule.retreat:g} mm or more "
             f"in the {rule.window:g} s before (lifted), or after sliding by {1e3 * rule.slip:g} mm "
