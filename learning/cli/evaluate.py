@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
@@ -39,7 +39,7 @@ class Evaluate:
         str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY]", help_behavior_hint="")
     ] = None
     """A policy by name, a policy file (.npz), a run folder, or the name of a controller."""
-    protocol: Annotated[Protocol, NESTED] = Protocol()
+    protocol: Annotated[Protocol, NESTED] = field(default_factory=Protocol)
     transfer: tuple[str, ...] = ()
     """Policies instead of one, of an object each (cube=POLICY if no card says); gives R_ij/R_ii.
     --object has further ones."""

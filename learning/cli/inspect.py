@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -43,7 +43,9 @@ class Inspect:
         tyro.conf.arg(metavar="RUN_OR_POLICY", help_behavior_hint=""),
     ] = None
     """A run folder, a policy by name or file, or the name of a controller in the policy's place."""
-    protocol: Annotated[Protocol, NESTED] = Protocol(episodes=EPISODES)
+    protocol: Annotated[Protocol, NESTED] = field(
+        default_factory=lambda: Protocol(episodes=EPISODES)
+    )
     controller: tuple[str, ...] = ()
     """Controllers to compare with; none: those that guided the training."""
     out: Path = Path("out/inspect")

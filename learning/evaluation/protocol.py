@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from dexctl.settings import NESTED
@@ -23,8 +23,8 @@ class Protocol:
         UnknownName, InvalidInput: a setting is wrong; the message names it.
     """
 
-    scene: Annotated[SceneConfig, NESTED] = SceneConfig()
-    task: Annotated[TurningConfig, NESTED] = TurningConfig()
+    scene: Annotated[SceneConfig, NESTED] = field(default_factory=SceneConfig)
+    task: Annotated[TurningConfig, NESTED] = field(default_factory=TurningConfig)
     episodes: int = 100
     """How many, for each object."""
     seconds: float = 60.0

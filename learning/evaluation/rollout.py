@@ -114,7 +114,7 @@ def one_object(protocol: Protocol) -> str:
     Raises:
         InvalidInput: it has several.
     """
-    names = protocol.scene.object
-    if len(names) > 1:
-        raise InvalidInput(f"object is {', '.join(names)}; expected one")
-    return names[0]
+    name, *others = protocol.scene.object
+    if others:
+        raise InvalidInput(f"object is {', '.join(protocol.scene.object)}; expected one")
+    return name

@@ -1,7 +1,8 @@
 """Inspection: the controllers' tools turned on a policy, to see how it gaits and why it drops.
 
-`inspect` does all of it: `roll_out` is the evaluation's rollout with controllers in shadow; `examine` says how sound the grasp was at each moment; the other modules make
-figures of both. ``learning.inspection.report`` draws them.
+`inspect` does all of it: `roll_out` is the evaluation's rollout with controllers in shadow;
+`examine` says how sound the grasp was at each moment; the other modules make figures of both.
+``learning.inspection.report`` draws them.
 """
 
 from learning.inspection.findings import Inspection, inspect

@@ -46,6 +46,7 @@ class Critic:
 
     def __init__(self, folder: RunFolder) -> None:
         from learning.algorithms.networks import restore
+        from learning.algorithms.off_policy import OffPolicy
         from learning.training.build import build_algorithm, build_env
 
         config, saved = folder.config(), folder.read_checkpoint()
@@ -64,11 +65,11 @@ class Critic:
         )
         env = build_env(small)
         try:
-            self._algorithm = build_algorithm(small, env)
-            self._observations = env.observations
+            algorithm = build_algorithm(small, env)
+            assert isinstance(algorithm, OffPolicy)
+            self._algorithm, self._observations = algorithm, env.observations
             assert saved is not None
-            networks = self._algorithm.networks  # type: ignore[attr-defined]
-            restore(networks, saved["algorithm"]["networks"])
+            restore(algorithm.networks, saved["algorithm"]["networks"])
             self.steps = int(saved["algorithm"]["steps"])
         except (RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
             reason = " ".join(str(error).split())[:200]

@@ -39,7 +39,7 @@ ALLOWED = {
     "controllers": {*INSIDE, "dexctl", "controllers"},  # by name
     "application": {*INSIDE, "application", "dexctl", "controllers"},
     "learning": {*INSIDE, "dexctl", "controllers", "learning"},
-    # its commands, the modules learning/cli_*.py, and what only they import: the pages they write
+    # its commands, in learning/cli, and what only they import: the pages they write
     "learning commands": {
         *INSIDE,
         "application",
@@ -97,7 +97,7 @@ def _imports(path: Path) -> Iterator[str]:
 def room(dotted: str) -> str | None:
     """The room of a module (``dexctl.grasp.contacts`` -> grasp); None for other packages."""
     package, *rest = dotted.split(".")
-    if package == "learning" and rest and (rest[0].startswith("cli_") or "report" in rest):
+    if package == "learning" and rest and (rest[0].startswith("cli") or "report" in rest):
         return "learning commands"
     if package in ("learning", "hardware"):
         return package

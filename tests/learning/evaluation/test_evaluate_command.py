@@ -169,7 +169,7 @@ BAD: dict[str, tuple[Callable[[MakePolicy, Path], list[str]], str]] = {
         lambda p, f: [of_another_hand(f), "--hand", "dex5"],
         r"the policy is for the hand 'paw' \(2 joints, 1 fingers\); got 'dex5' \(15 joints",
     ),
-    "hand that is not there": (lambda p, f: [of_another_hand(f)], "unknown hand 'paw'; known: dex5"),
+    "hand not there": (lambda p, f: [of_another_hand(f)], "unknown hand 'paw'; known: dex5"),
     "parts": (
         lambda p, _: [p(), "--parts", "q", "touch"],
         "the policy was trained with the observation parts q, q_target, .*; got q, touch",

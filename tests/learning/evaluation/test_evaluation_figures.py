@@ -35,8 +35,8 @@ def made(rotation: list[float], held: list[float], dropped: list[bool]) -> Evalu
         dropped=np.array(dropped),
         diverged=np.zeros(count, bool),
         returns=np.zeros(count),
-        fingertips_only=np.linspace(0.0, 1.0, count),
-        drift=0.01 * np.arange(count),
+        fingertips_only=np.arange(count) / (count - 1.0),
+        drift=np.arange(count) / 100.0,
         moments=np.zeros(0),
         rotations=np.zeros((0, count)),
     )

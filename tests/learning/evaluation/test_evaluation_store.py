@@ -31,7 +31,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What was really evaluated."""
     made: list[str] = []
 
-    def counted(who, protocol=None, *, object=None, progress=None):  # noqa: A002
+    def counted(who, protocol=None, *, object="", progress=None):  # noqa: A002
         made.append(object)
         return evaluate(who, protocol, object=object, progress=progress)
 

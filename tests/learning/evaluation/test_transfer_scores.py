@@ -28,7 +28,7 @@ def policies() -> list[Trained]:
     return [Trained(open_subject("igm"), "cube"), Trained(open_subject("hold"), "sphere")]
 
 
-def run(who, protocol=None, *, object=None, progress=None) -> Evaluation:  # noqa: A002
+def run(who, protocol=None, *, object="", progress=None) -> Evaluation:  # noqa: A002
     rotation = np.array(ROTATION[who.name, object])
     none = np.zeros(3, bool)
     return Evaluation(

@@ -116,7 +116,7 @@ def test_p_psi_is_what_training_would_find(run_folder: Path) -> None:
     assert saved is not None
     env = build_env(config)
     env.close()
-    algorithm = build_algorithm(config, env)
+    algorithm: Any = build_algorithm(config, env)
     algorithm.load_state_dict(saved["algorithm"])
     row, episode = 3, 1
     state = _state(found.trace, row, episode)
@@ -265,7 +265,7 @@ def test_critics_that_see_more_than_the_policy(tmp_path: Path) -> None:
     assert saved is not None
     env = build_env(config)
     env.close()
-    algorithm = build_algorithm(config, env)
+    algorithm: Any = build_algorithm(config, env)
     algorithm.load_state_dict(saved["algorithm"])
     least = algorithm.values(seen, kept[None])[0]
     assert found.valued.values[..., 0].ravel() == pytest.approx(least, abs=1e-4)
