@@ -81,7 +81,9 @@ class SceneConfig:
 
     def undisturbed(self) -> SceneConfig:
         """The same without noise, latency of the sensors, pushes and given starts."""
-        return replace(self, sensing=Sensing(), push=Push(), initial_states=None)
+        sensing = Sensing(touch_threshold=self.sensing.touch_threshold)
+        push = replace(self.push, push_force=0.0)
+        return replace(self, sensing=sensing, push=push, initial_states=None)
 
     def scenes(self, hand: HandModel | None = None) -> list[Scene]:
         """The scene of each object.

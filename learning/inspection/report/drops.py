@@ -37,6 +37,7 @@ def drops_section(found: Inspection) -> str:
             )
         )
     rule = found.rule
+    distance = evaluation.protocol.task.drop_distance
     return html.section(
         "Where and why drops begin",
         html.table(
@@ -47,8 +48,8 @@ def drops_section(found: Inspection) -> str:
             rows,
         ),
         html.paragraph(
-            "From each drop (centre more than 0.05 m from its start) back to the end of the last "
-            f"sound spell of at least {rule.spell:g} s, the onset. What failed first after it is "
+            f"From each drop (centre more than {distance:g} m from its start) back to the end of the "
+            f"last sound spell of at least {rule.spell:g} s, the onset. What failed first after it is "
             "the cause, the first of these that holds: something other than a fingertip touched; "
             f"tilt above {rule.tilt:g} rad; a finger let go, with a joint's set-point at the end "
             f"of its range, or its set-point taken back by {1e3 * rule.retreat:g} mm or more "

@@ -35,10 +35,10 @@ def build(
         command: what was typed.
         machine: see `dexctl.report.machine`.
     """
-    subject, protocol = found.subject, found.rollouts.evaluation.protocol
+    protocol = found.rollouts.evaluation.protocol
     with drawing():
         sections = [
-            *(html.paragraph(remark, "note") for remark in subject.remarks),
+            *(html.paragraph(remark, "note") for remark in found.remarks),
             _overview(found),
             _typical(found),
             _turns(found),
@@ -61,8 +61,8 @@ def _who(found: Inspection) -> str:
     subject = found.subject
     if subject.kind == "controller":
         return title_of(subject.name)
-    method = subject.trained.get("guidance", {}).get("method")
-    return f"policy ({method})" if method else "policy"
+    trained = subject.trained
+    return "policy" if trained is None else f"policy ({trained.guidance.method})"
 
 
 def _overview(found: Inspection) -> str:
@@ -75,9 +75,10 @@ def _overview(found: Inspection) -> str:
         ("dropped", interval(figure["share_dropped"], "%", 0, 100.0)),
         ("return", interval(figure["return_mean"], "rad/s", 1)),
         ("sound grasp", f"{percent(found.grip()['sound_share'])} of the time held"),
+        ("sinks by", interval(figure["drift_median_m"], "mm", 1, 1e3)),
     ]
     if found.subject.kind != "controller":
-        card = getattr(found.subject.controller, "card", {})
+        card = found.subject.card or {}
         rows += [("trained for", f"{card['steps']:,} steps")] if "steps" in card else []
         rows += [("guided by", ", ".join(map(title_of, found.subject.guides)) or "nobody")]
     return html.section(
@@ -172,11 +173,12 @@ def _turns(found: Inspection) -> str:
 
 def _grasp(found: Inspection) -> str:
     grip, rule = found.grip(), found.rule
+    alone = found.rollouts.evaluation.figures()["share_fingertips_only"]
     friction = found.grasps.friction
     rows = [
         ("sound grasp", percent(grip["sound_share"])),
         ("force closure", percent(grip["closure_share"])),
-        ("nothing but fingertips touches", percent(grip["fingertips_only_share"])),
+        ("nothing but fingertips touches", percent(alone.value)),
         ("residual", spread(grip["residual"], 3)),
         ("force-closure margin", spread(grip["margin"], 2)),
         ("tilt", spread(grip["tilt_rad"], 2, "rad")),

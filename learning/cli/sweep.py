@@ -52,7 +52,7 @@ class Sweep:
     def run(self) -> int:
         if self.jobs is not None:
             check_count("--jobs", self.jobs)
-        if not self.report_only and not (find_spec("torch") and find_spec("stable_baselines3")):
+        if not self.report_only and not find_spec("torch"):
             raise MissingExtra("dexctl sweep", "learning")
         from learning.sweep.run import check, prepare, reopen, run_all
         from learning.training.run_folder import locked
@@ -66,20 +66,25 @@ class Sweep:
                 )
             config, folder = reopen(given), make_folder(given)
         else:
-            from learning.sweep.config import SweepConfig
+            from learning.sweep.reading import load_sweep
 
-            config = SweepConfig.load(given, seed=self.seed, steps=self.steps)
+            config = load_sweep(given, seed=self.seed, steps=self.steps)
             folder = make_folder(self.out or Path("runs") / given.stem)
         if self.report_only:  # at any time, while the sweep is at work too
             check(config, folder)
             return self._report(config, folder)
         with locked(folder):
             prepare(config, folder)
-            from learning.cli_sweep_display import Display
+            from learning.cli.sweep_display import Display
 
-            total = len(config.runs) + len(config.evaluation.controllers)
-            with self._pool() as pool, Display(total) as lines, _terminated_like_interrupted():
-                run_all(config, folder, pool, watch=lines.show)
+            total = len(config.runs) + len(config.compared)
+            try:
+                with self._pool() as pool, Display(total) as lines, _terminated_like_interrupted():
+                    run_all(config, folder, pool, watch=lines.show)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"interrupted: what was begun is saved; `dexctl sweep {folder}` goes on"
+                ) from None
             return self._report(config, folder)
 
     def _pool(self) -> LocalPool | RayPool:
@@ -96,7 +101,7 @@ class Sweep:
         """Write and print what there is; 1 where something failed."""
         from dexctl.files import write_text
         from dexctl.report.machine import machine
-        from learning.cli_sweep_figure import draw
+        from learning.cli.sweep_figure import draw
         from learning.sweep.results import collect, write_csv
         from learning.sweep.table import caption, markdown_table
 

@@ -1,19 +1,78 @@
-"""What `dexctl evaluate` prints: a table for each object, or the transfer matrix."""
+"""What `dexctl evaluate` prints, leaves in a folder, and says as JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
+from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
-from dexctl.cli.output import results
+from dexctl.cli.output import notes, results, to_json
+from dexctl.exceptions import MissingExtra
+from dexctl.files import write_text
+from dexctl.report.machine import machine
+from dexctl.settings import to_plain
 from dexctl.statistics import Estimate
-from learning.evaluate import Evaluation, Protocol
-from learning.robustness import disturbance
-from learning.transfer import Transfer
+from learning.cli import evaluate_figures as figures
+from learning.evaluation import Evaluation, Protocol, files
+from learning.evaluation.robustness import disturbance, levels_of
+from learning.evaluation.transfer import Trained, Transfer
 
-_UNITS = {"joint": " rad", "position": " m", "normal": "", "force": "", "push": " N"}
+_UNITS = {"joint_noise": " rad", "position_noise": " m", "normal_noise": " rad", "push_force": " N"}
+
+
+def described(
+    trained: Sequence[Trained],
+    protocol: Protocol,
+    found: Sequence[Evaluation],
+    matrix: Transfer | None,
+) -> dict[str, Any]:
+    """Everything that was found, and how."""
+    cards = [one.subject.card for one in trained]
+    if matrix is not None:
+        what: dict[str, Any] = {"transfer": matrix.to_dict(), "cards": cards}
+    else:
+        what = {"policy": trained[0].name, "card": cards[0]}
+        what["results"] = [
+            {"object": one.object, "disturbance": levels_of(one.protocol), **one.to_dict()}
+            for one in found
+        ]
+    return {
+        "protocol": to_plain(protocol),
+        "seeds": [protocol.seed, protocol.seed + protocol.episodes - 1],
+        **what,
+        "machine": machine(),
+    }
+
+
+def write(
+    folder: Path, result: Mapping[str, Any], found: Sequence[Evaluation], matrix: Transfer | None
+) -> None:
+    """CSV files, figures and, last of all, ``evaluate.json``."""
+    if matrix is not None:
+        files.write_transfer(folder / "transfer.csv", matrix)
+    else:
+        files.write_figures(folder / "figures.csv", found)
+        files.write_curves(folder / "curves.csv", found)
+        files.write_episodes(folder / "episodes.csv", found)
+    try:
+        _draw(folder, found, matrix)
+    except MissingExtra as error:  # the numbers are worth more than the figures
+        notes().print(f"dexctl: {error}; no figures are drawn", markup=False)
+    write_text(folder / "evaluate.json", to_json(result) + "\n")
+    notes().print(f"written: {folder / 'evaluate.json'}, with CSV files and figures beside it")
+
+
+def _draw(folder: Path, found: Sequence[Evaluation], matrix: Transfer | None) -> None:
+    if matrix is not None:
+        figures.draw_transfer(folder / "transfer.png", matrix)
+        return
+    first = {one.object: one for one in reversed(found)}  # undisturbed, with --robustness
+    figures.draw_rotation(folder / "rotation.png", [*reversed(first.values())])
+    if len(first) < len(found):
+        figures.draw_robustness(folder / "robustness.png", found)
 
 
 def print_evaluations(who: str, protocol: Protocol, found: Sequence[Evaluation]) -> None:
@@ -65,6 +124,8 @@ def _figures(one: Evaluation) -> Table:
         ("dropped", "share_dropped", 100.0, 0, " %"),
         ("made a full turn", "share_full_turn", 100.0, 0, " %"),
         ("mean return", "return_mean", 1.0, 1, ""),
+        ("only fingertips touch", "share_fingertips_only", 100.0, 0, " %"),
+        ("sinks by", "drift_median_m", 1e3, 1, " mm"),
     ):
         table.add_row(name, _interval(figures[figure], factor, digits, unit))
     return table
@@ -88,10 +149,9 @@ def _disturbances(rows: Sequence[Evaluation]) -> Table:
 
 
 def _setting(protocol: Protocol) -> str:
-    gravity, axis = protocol.gravity, protocol.axis
-    palm = f"palm {gravity}" if isinstance(gravity, str) else f"gravity {_vector(gravity)} m/s²"
-    late = f", sensors {protocol.latency:g} s late" if protocol.latency else ""
-    return f"{palm}, about {axis if isinstance(axis, str) else _vector(axis)}{late}"
+    axis, late = protocol.task.axis, protocol.scene.sensing.sensor_latency
+    about = axis if isinstance(axis, str) else f"({', '.join(f'{number:g}' for number in axis)})"
+    return f"{protocol.scene.palm}, about {about}" + (f", sensors {late:g} s late" if late else "")
 
 
 def _episodes(protocol: Protocol) -> str:
@@ -99,10 +159,6 @@ def _episodes(protocol: Protocol) -> str:
         f"{protocol.episodes} episodes of {protocol.seconds:g} s for each, seeds {protocol.seed} "
         f"to {protocol.seed + protocol.episodes - 1}; medians unless it says mean, 95 % intervals"
     )
-
-
-def _vector(numbers: Sequence[float]) -> str:
-    return f"({', '.join(f'{number:g}' for number in numbers)})"
 
 
 def _table() -> Table:
@@ -116,4 +172,4 @@ def _interval(one: Estimate, factor: float = 1.0, digits: int = 2, unit: str = "
 
 def _disturbed(one: Evaluation) -> str:
     kind, level = disturbance(one.protocol)
-    return f"{kind} {level:g}{_UNITS[kind]}" if kind else "none"
+    return f"{kind.replace('_', ' ')} {level:g}{_UNITS.get(kind, '')}" if kind else "none"
