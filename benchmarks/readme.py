@@ -29,6 +29,7 @@ HEADINGS = {
     "gaits": "Gaits",
     "learned": "Learned gaits",
     "learner": "Training throughput",
+    "algorithms": "Algorithms",
     "hardware_grasp": "Simulator and servo bus",
     "hardware_loop": "Runner of the servo hand",
     "bus": "Servo bus",
