@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
+import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,9 +19,11 @@ from dexctl.settings import (
     by_path,
     changed,
     difference,
+    differing,
     from_plain,
     get,
     leaves,
+    only,
     paths,
     to_plain,
 )
@@ -48,6 +51,28 @@ class Run:
     count: int = 3
     quick: bool = False
     rate: float = 0.5
+
+
+BALL = Scene(object=("ball",), noise=Noise(rate=2.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    scene: Annotated[Scene, only(BALL, "gravity", "noise.joint")] = BALL
+
+
+def test_only_some_settings_are_options(capsys: pytest.CaptureFixture[str]) -> None:
+    made = tyro.cli(Command, args=["--gravity", "down", "--joint", "0.5"]).scene
+    assert to_plain(made) == to_plain(changed(BALL, {"gravity": "down", "joint": 0.5}))
+    assert differing(made, BALL) == ["gravity", "noise.joint"]
+    for hidden in ("--size", "--rate", "--object"):
+        with pytest.raises(SystemExit):
+            tyro.cli(Command, args=[hidden, "3"])
+        assert f"Unrecognized options: {hidden}" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        tyro.cli(Command, args=["--help"])
+    said = capsys.readouterr().out
+    assert "--joint" in said and "--size" not in said
 
 
 def test_leaves_have_paths_and_repeated_names_have_none() -> None:
