@@ -105,10 +105,10 @@ def said(kind: type[C], arguments: Sequence[str]) -> C | None:
 
 def given(arguments: Sequence[str], option: str) -> str | None:
     """The value that ``option`` is given, for a default that depends on it; None: it is not."""
-    for word, after in zip(arguments, [*arguments[1:], None], strict=True):
+    for i, word in enumerate(arguments):
         flag, equals, value = word.partition("=")
         if flag == option:
-            return value if equals else after
+            return value if equals else next(iter(arguments[i + 1 : i + 2]), None)
     return None
 
 

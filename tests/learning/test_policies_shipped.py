@@ -51,9 +51,11 @@ def test_learned_is_a_controller_of_that_name(dex5: dexctl.HandModel) -> None:
     assert open_subject("dex5-cylinder").objects == ("cylinder",)
 
 
-def test_what_there_is_no_policy_for(dex5: dexctl.HandModel, allegro: dexctl.HandModel) -> None:
+def test_what_there_is_no_policy_for(
+    dex5: dexctl.HandModel, four_fingers: dexctl.HandModel
+) -> None:
     with pytest.raises(InvalidInput, match=r"for the hand .*; there is one for dex5"):
-        policies.learned(allegro)
+        policies.learned(four_fingers)
     with pytest.raises(InvalidInput, match=r"control_period is 0.02; .* was trained with 0.05"):
         policies.learned(dex5, control_period=0.02)
     with pytest.raises(UnknownName, match="'dex5-pen'; known: "):
