@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
 import tyro
 
+from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.output import notes, print_json, progress
-from dexctl.cli.parsing import Flag, check_seconds, make_folder
+from dexctl.cli.parsing import Switch, said
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import NESTED
-from learning.cli.protocols import check_objects, given, said
 from learning.evaluation.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -43,13 +43,13 @@ class Evaluate:
     transfer: tuple[str, ...] = ()
     """Policies instead of one, of an object each (cube=POLICY if no card says); gives R_ij/R_ii.
     --object has further ones."""
-    robustness: Flag = False
+    robustness: Switch = False
     """Once more for each kind and level of sensor noise, and of push on the object (20 of them)."""
     parts: tuple[str, ...] = ()
     """Observation parts that there are; a policy that was trained with others is refused."""
     out: Path | None = None
     """Folder for evaluate.json, CSV files and figures."""
-    json: Flag = False
+    json: Switch = False
     """Print one JSON object instead of the table."""
 
     @classmethod
@@ -57,7 +57,8 @@ class Evaluate:
         """The settings that the policies were trained in."""
         from learning.evaluation import as_trained
 
-        before, names = said(cls, argv), given(argv)
+        before = said(cls, argv)
+        names = {word[2:].partition("=")[0].replace("-", "_") for word in argv if word[:2] == "--"}
         if before is None or bool(before.transfer) == (before.policy is not None):
             return cls()
         hand = before.protocol.scene.hand if "hand" in names else None
@@ -80,7 +81,8 @@ class Evaluate:
         protocol = self.protocol
         check_seconds(protocol.seconds, protocol.scene.control_period)
         trained = self._trained(protocol.scene.hand)
-        check_objects([*(one.object for one in trained if self.transfer), *protocol.scene.object])
+        own = tuple(one.object for one in trained if self.transfer)
+        replace(protocol.scene, object=(*own, *protocol.scene.object)).check_objects()
         folder = None if self.out is None else make_folder(self.out)
         found, matrix = self._evaluate(trained, folder)
         result = {"command": "evaluate"} | described(trained, protocol, found, matrix)

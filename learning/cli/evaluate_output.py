@@ -9,12 +9,12 @@ from typing import Any
 
 from rich.table import Table
 
-from dexctl.cli.output import notes, results, to_json
+from dexctl.cli.output import facts, notes, results, table, to_json
 from dexctl.exceptions import MissingExtra
 from dexctl.files import write_text
 from dexctl.report.machine import machine
+from dexctl.report.words import about, interval
 from dexctl.settings import to_plain
-from dexctl.statistics import Estimate
 from learning.cli import evaluate_figures as figures
 from learning.evaluation import Evaluation, Protocol, files
 from learning.evaluation.robustness import disturbance, levels_of
@@ -98,9 +98,7 @@ def print_transfer(found: Transfer, protocol: Protocol) -> None:
         "Median rotation over that with the policy's own object (and the rotation itself)\n",
         soft_wrap=True,
     )
-    table = _table()
-    for heading in ("policy of", *found.objects):
-        table.add_column(heading)
+    matrix = table("policy of", *found.objects)
     for i, policy in enumerate(found.policies):
         cells = []
         for j in range(len(found.objects)):
@@ -108,50 +106,48 @@ def print_transfer(found: Transfer, protocol: Protocol) -> None:
             cells.append(
                 f"{'   -' if score is None else f'{score.value:.2f}'} ({raw.value:.2f} rad)"
             )
-        table.add_row(policy.object, *cells)
-    console.print(table)
+        matrix.add_row(policy.object, *cells)
+    console.print(matrix)
 
 
 def _figures(one: Evaluation) -> Table:
     """One evaluation: a row for each figure."""
-    figures, table = one.figures(), _table()
-    table.show_header = False
-    for name, figure, factor, digits, unit in (
-        ("rotation", "rotation_median_rad", 1.0, 2, " rad"),
-        ("revolutions", "revolutions_median", 1.0, 2, ""),
-        ("mean speed", "speed_mean_rad_s", 1.0, 3, " rad/s"),
-        ("held", "time_held_median_s", 1.0, 1, " s"),
-        ("dropped", "share_dropped", 100.0, 0, " %"),
-        ("made a full turn", "share_full_turn", 100.0, 0, " %"),
-        ("mean return", "return_mean", 1.0, 1, ""),
-        ("only fingertips touch", "share_fingertips_only", 100.0, 0, " %"),
-        ("sinks by", "drift_median_m", 1e3, 1, " mm"),
-    ):
-        table.add_row(name, _interval(figures[figure], factor, digits, unit))
-    return table
+    figures = one.figures()
+    return facts(
+        (name, interval(figures[figure], unit, digits, factor))
+        for name, figure, unit, digits, factor in (
+            ("rotation", "rotation_median_rad", "rad", 2, 1.0),
+            ("revolutions", "revolutions_median", "", 2, 1.0),
+            ("mean speed", "speed_mean_rad_s", "rad/s", 3, 1.0),
+            ("held", "time_held_median_s", "s", 1, 1.0),
+            ("dropped", "share_dropped", "%", 0, 100.0),
+            ("made a full turn", "share_full_turn", "%", 0, 100.0),
+            ("mean return", "return_mean", "", 1, 1.0),
+            ("only fingertips touch", "share_fingertips_only", "%", 0, 100.0),
+            ("sinks by", "drift_median_m", "mm", 1, 1e3),
+        )
+    )
 
 
 def _disturbances(rows: Sequence[Evaluation]) -> Table:
     """Several evaluations of one object: a row for each."""
-    table = _table()
-    for heading in ("disturbed", "rotation, rad", "turns", "dropped", "mean return"):
-        table.add_column(heading, no_wrap=True)
+    made = table("disturbed", "rotation, rad", "turns", "dropped", "mean return", gap=2, wrap=False)
     for one in rows:
         figures = one.figures()
-        table.add_row(
+        made.add_row(
             _disturbed(one),
-            _interval(figures["rotation_median_rad"]),
+            interval(figures["rotation_median_rad"]),
             f"{figures['revolutions_median'].value:.2f}",
-            _interval(figures["share_dropped"], 100.0, 0, " %"),
-            _interval(figures["return_mean"], digits=0),
+            interval(figures["share_dropped"], "%", 0, 100.0),
+            interval(figures["return_mean"], digits=0),
         )
-    return table
+    return made
 
 
 def _setting(protocol: Protocol) -> str:
-    axis, late = protocol.task.axis, protocol.scene.sensing.sensor_latency
-    about = axis if isinstance(axis, str) else f"({', '.join(f'{number:g}' for number in axis)})"
-    return f"{protocol.scene.palm}, about {about}" + (f", sensors {late:g} s late" if late else "")
+    late = protocol.scene.sensing.sensor_latency
+    said = f"{protocol.scene.palm}, {about(protocol.task.axis)}"
+    return said + (f", sensors {late:g} s late" if late else "")
 
 
 def _episodes(protocol: Protocol) -> str:
@@ -159,15 +155,6 @@ def _episodes(protocol: Protocol) -> str:
         f"{protocol.episodes} episodes of {protocol.seconds:g} s for each, seeds {protocol.seed} "
         f"to {protocol.seed + protocol.episodes - 1}; medians unless it says mean, 95 % intervals"
     )
-
-
-def _table() -> Table:
-    return Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-
-
-def _interval(one: Estimate, factor: float = 1.0, digits: int = 2, unit: str = "") -> str:
-    value, low, high = (f"{factor * x:.{digits}f}" for x in (one.value, one.low, one.high))
-    return f"{value}{unit} ({low} to {high})"
 
 
 def _disturbed(one: Evaluation) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import tyro
 
 from dexctl import controllers
+from dexctl.cli.checks import check_seconds, make_folder
+from dexctl.cli.command_line import command_line
 from dexctl.cli.output import notes, print_json, progress, results, to_json
-from dexctl.cli.parsing import Flag, check_seconds, make_folder
-from dexctl.cli.trials import check_viz
+from dexctl.cli.parsing import Switch, given, said
+from dexctl.cli.trials import check_viz, describe
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import NESTED
-from learning.cli.protocols import check_objects, given, said, words
 from learning.evaluation.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Inspect:
     """Controllers to compare with; none: those that guided the training."""
     out: Path = Path("out/inspect")
     """Folder for report.html and inspect.json."""
-    json: Flag = False
+    json: Switch = False
     """Print one JSON object instead of the summary."""
 
     @classmethod
@@ -59,8 +59,11 @@ class Inspect:
         before = said(cls, argv)
         if before is None or before.subject is None:
             return cls()
-        hand = before.protocol.scene.hand if "hand" in given(argv) else None
-        return cls(protocol=_usual(before.subject, hand))
+        from learning.evaluation import open_subject
+
+        subject = open_subject(before.subject, hand=given(argv, "--hand"))
+        own = subject.objects[:1] or ("cube",)
+        return cls(protocol=subject.protocol(episodes=EPISODES, object=own))
 
     def run(self) -> int:
         check_viz("dexctl inspect")
@@ -72,7 +75,8 @@ class Inspect:
             raise InvalidInput("expected a run folder, a policy, or the name of a controller")
         protocol = self.protocol
         check_seconds(protocol.seconds, protocol.scene.control_period)
-        check_objects([one_object(protocol)])
+        one_object(protocol)
+        protocol.scene.check_objects()
         subject = open_subject(self.subject, hand=protocol.scene.hand)
         for name in self.controller:
             controllers.resolve(name, subject.controller.hand)
@@ -93,17 +97,8 @@ class Inspect:
         from dexctl.report.machine import machine
         from learning.inspection.report import build
 
-        scene, protocol = found.rollouts.scene, self.protocol
-        setting = {
-            "palm": protocol.scene.palm,
-            "hand": protocol.scene.hand,
-            "object": scene.object,
-            "gravity_m_s2": scene.gravity.tolist(),
-            "object_width_m": scene.object_width,
-            "object_mass_kg": scene.object_mass,
-            "friction": found.grasps.friction,
-            "seed": protocol.seed,
-        }
+        setting = describe(self.protocol.scene, found.rollouts.scene)
+        del setting["scene"]  # it is in the protocol
         told = machine()
         report, figures = folder / "report.html", folder / "inspect.json"
         result = {
@@ -113,24 +108,14 @@ class Inspect:
             "files": {"report": str(report), "figures": str(figures)},
             "machine": told,
         }
-        page = build(found, setting=setting, command=self._command_line(), machine=told)
+        page = build(found, command=command_line(self, "inspect"), machine=told)
         write_text(figures, to_json(result) + "\n")
         write_text(report, page)
         return result
 
-    def _command_line(self) -> str:
-        """What to type to get the same again."""
-        assert self.subject is not None
-        usual = _usual(self.subject, self.protocol.scene.hand)
-        shadows = ["--controller", *self.controller] if self.controller else []
-        asked = words(self.protocol, usual)
-        return shlex.join(
-            ["dexctl", "inspect", self.subject, *asked, *shadows, "--out", str(self.out)]
-        )
-
     def _print(self, found: Inspection, folder: Path) -> None:
+        from dexctl.report.words import percent
         from learning.inspection.report.story import story
-        from learning.inspection.report.words import percent
 
         console = results()
         figures = found.rollouts.evaluation.figures()
@@ -145,14 +130,6 @@ class Inspect:
         for line in story(found):
             console.print(line, soft_wrap=True)
         notes().print(f"written: {folder / 'report.html'} and {folder / 'inspect.json'}")
-
-
-def _usual(name: str, hand: str | None) -> Protocol:
-    """The protocol where nothing is said."""
-    from learning.evaluation import open_subject
-
-    subject = open_subject(name, hand=hand)
-    return subject.protocol(episodes=EPISODES, object=subject.objects[:1] or ("cube",))
 
 
 class _Bar:

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from dexctl.cli.checks import check_count, make_folder
 from dexctl.cli.output import notes, print_json, results, to_json
-from dexctl.cli.parsing import check_count, make_folder
+from dexctl.cli.output import table as without_lines
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput, MissingExtra
 
 if TYPE_CHECKING:
@@ -44,9 +46,9 @@ class Sweep:
     """Environment steps of each run, in place of the file's."""
     seed: int = 0
     """Added to every seed in the file."""
-    report_only: bool = False
+    report_only: Switch = False
     """Run nothing; make the table and the figure of what is there."""
-    json: bool = False
+    json: Switch = False
     """Print the results as one JSON object instead of the table."""
 
     def run(self) -> int:
@@ -124,15 +126,11 @@ class Sweep:
 
 
 def _print(found: dict[str, Any]) -> None:
-    from rich.table import Table
-
     from learning.sweep.table import caption, table
 
     console = results()
     header, rows = table(found, titles=False)
-    shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in header:
-        shown.add_column(heading, overflow="fold")
+    shown = without_lines(*header, gap=2)
     for row in rows:
         shown.add_row(*row)
     console.print(f"[bold]{found['name']}[/bold]\n")

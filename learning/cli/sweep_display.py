@@ -13,7 +13,7 @@ from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
-from dexctl.cli.output import columns, notes
+from dexctl.cli.output import notes, table
 from learning.sweep.curves import read_rows
 from learning.sweep.jobs import Job, Outcome
 
@@ -112,13 +112,13 @@ class Display:
         self._console.print(f"dexctl: {text}", markup=False)
 
     def _lines(self, running: list[Job], ended: Mapping[str, Outcome]) -> Group:
-        table = columns(_COLUMNS, left=_COLUMNS[:2])
+        lines = table(*_COLUMNS, right=_COLUMNS[2:], gap=2)
         for job in running:
-            table.add_row(*line(job.name, progress(job)))
+            lines.add_row(*line(job.name, progress(job)))
         finished = sum(found.state == "finished" for found in ended.values())
         counts = f"{finished} of {self._total} finished, {len(running)} at work"
         failed = len(ended) - finished
-        return Group(table, Text(counts + (f", {failed} failed" if failed else "")))
+        return Group(lines, Text(counts + (f", {failed} failed" if failed else "")))
 
 
 def line(name: str, now: Progress) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -30,8 +30,8 @@ class Subject:
         hand: name of the hand that it acts with.
         controller: who acts. A controller, which is no policy, is made anew for another axis, hand
             or control period (`acting`).
-        trained: what trained it, as the card of a policy says; None for a controller, or where
-            the card does not say.
+        trained: what trained it; of a policy, environments and guides as its card says. None for a
+            controller, or where the card does not say.
         folder: of the run; None for the others.
         axis: that a controller was opened for; None where nobody said.
     """
@@ -177,10 +177,15 @@ def as_trained(
 
 
 def _trained(name: str, policy: Policy) -> TrainConfig | None:
-    """What the card of a policy says that trained it; None where it does not say."""
+    """What the card of a policy says that trained it; None where it does not say.
+
+    Environments and guides only: how an algorithm of an earlier version learned decides nothing.
+    """
     said = policy.card.get("trained")
     if said is None:
         return None
+    if isinstance(said, Mapping):
+        said = {key: said[key] for key in ("env", "guidance", "controllers") if key in said}
     try:
         return from_plain(TrainConfig, said, "trained")
     except (InvalidInput, UnknownName) as error:

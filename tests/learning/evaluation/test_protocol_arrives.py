@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,13 +12,14 @@ import pytest
 import dexctl
 import dexctl.sim
 from dexctl import hands
+from dexctl.cli.command_line import command_line
 from dexctl.cli.parsing import parse
 from dexctl.settings import changed, get, paths
 from learning.cli.evaluate import Evaluate
 from learning.cli.inspect import Inspect
-from learning.cli.protocols import words
 from learning.evaluation import Evaluation, Protocol
 
+WHO = {Evaluate: "policy", Inspect: "subject"}
 OTHERS: dict[str, Any] = {
     "scene.hand": "wonik_allegro",
     "scene.object": ("sphere",),
@@ -79,8 +81,8 @@ def test_every_setting_of_a_command(
         (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
     asked = changed(Protocol(), {path: another(path) for path in paths(Protocol)})
-    arguments = ["igm", *words(asked, Protocol()), "--out", "out"]
-    command = parse(kind, "dexctl", arguments)
+    made = kind(protocol=asked, out=Path("out"), **{WHO[kind]: "igm"})
+    command = parse(kind, "dexctl", shlex.split(command_line(made, "it"))[2:])
     assert command is not None
     assert command.protocol == asked
     with pytest.raises(Arrived):
