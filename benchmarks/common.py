@@ -121,20 +121,6 @@ def ratio(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
     }
 
 
-def patient(factor: float) -> Any:
-    """Limits of a servo hand that forgive a busy machine so many times more silence and age."""
-    from hardware.limits import Limits
-
-    usual = Limits()
-    warn, hold = usual.overruns
-    return Limits(
-        watchdog=factor * usual.watchdog,
-        command_age=factor * usual.command_age,
-        state_age=factor * usual.state_age,
-        overruns=(min(factor * warn, 1.0), min(factor * hold, 1.0)),
-    )
-
-
 def engines() -> list[str]:
     """The engines of in-grasp manipulation that are installed."""
     return [name for name in ENGINES if name == "plain" or find_spec("numba") is not None]

@@ -21,13 +21,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Figure, Settings, over_seeds, patient, progress, settings, share, write
+from common import Figure, Settings, over_seeds, progress, settings, share, write
 
 from dexctl import Controller, GraspState, controllers
 from dexctl.exceptions import MissingExtra
+from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE, HandLimits
 from dexctl.plant import Plant
-from dexctl.sim import AsReal, BatchSimulator, Scene, Tactile, run
-from dexctl.sim.trial import DROP_DISTANCE, rotation_about_z
+from dexctl.sim import BatchSimulator, LimitedHand, Scene, run
+from dexctl.sim.trial import DROP_DISTANCE, rotation_about
 from hardware.bus import Bus
 from hardware.emulated_touch import EmulatedTactile
 from hardware.emulator import Emulator
@@ -41,8 +42,8 @@ from hardware.units import SimGains, to_servo
 HAND, OBJECT, PALM = "dex5", "cylinder", "up"
 PERIOD, TIMESTEP, SETTLE = 0.02, 0.005, 1.0
 ROW = 25  # ticks between those of the traces that are kept in the result
-LATENCY = 0.05
-GAINS = to_servo(SimGains(3.0, 0.15, 0.5, 0.6))
+REAL = HandLimits.real()
+GAINS = to_servo(SimGains(3.0, 0.15, REAL_TORQUE, REAL_SPEED))
 # the emulator's time stands still between ticks; the wall clock says nothing
 UNHURRIED = Limits(watchdog=2.0, state_age=100.0, command_age=100.0)
 NAMES = ("igm", "coordinated")
@@ -88,7 +89,7 @@ def _simulator(scene: Scene, count: int | None, *, disturbance: float) -> BatchS
         count,
         control_period=PERIOD,
         substeps=round(PERIOD / TIMESTEP),
-        tactile=Tactile(threshold=TRUSTED_FORCE),
+        touch_threshold=TRUSTED_FORCE,
         disturbance=disturbance,
     )
 
@@ -107,7 +108,7 @@ def _follow(plant: Plant, controller: Controller, seconds: float, seed: int, pos
         contacts.append(int(state.in_contact.sum()))
         plant.write(state.q_target + controller.act(state))
         wait()
-    angle = rotation_about_z(np.array(attitude))
+    angle = rotation_about(np.array(attitude))
     return {"q": np.array(q), "rotation": angle, "contacts": np.array(contacts)}
 
 
@@ -116,7 +117,7 @@ def simulated_trace(scene: Scene, controller: Controller, seconds: float, seed: 
     with _simulator(scene, None, disturbance=0.0) as sim:
         for _ in range(round(SETTLE / PERIOD)):
             sim.step()
-        plant = AsReal(Unseeing(sim), latency=0.0, stiffness=scene.stiffness)
+        plant = LimitedHand(Unseeing(sim), replace(REAL, action_latency=0.0), scene.stiffness)
         return _follow(plant, controller, seconds, seed,
                        lambda: sim.read().object_quaternion, plant.step)  # fmt: skip
 
@@ -232,21 +233,21 @@ def simulated(scene: Scene, name: str, given: GraspSettings, *, as_real: bool) -
     with _simulator(scene, given.trials, disturbance=0.02) as sim:
         sim.reset(given.seed)
         controller.reset(given.seed)
-        plant = AsReal(Unseeing(sim), latency=LATENCY, stiffness=scene.stiffness)
+        plant = LimitedHand(Unseeing(sim), REAL, scene.stiffness)
         trace = run(controller, sim, given.seconds, plant=plant if as_real else None)
     return {
         "controller": name,
         "where": "simulator, limits and touch of the servo hand" if as_real else "bare simulator",
         "rotation_rad": over_seeds(trace.final_rotation),
         "holding": share(trace.held[-1]),
-        "latency_s": plant.latency if as_real else 0.0,
+        "latency_s": REAL.action_latency if as_real else 0.0,
     }
 
 
 def _outcome(position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     away = np.linalg.norm(position - position[0], axis=-1)
     held = np.logical_and.accumulate(away <= DROP_DISTANCE, axis=0)
-    return rotation_about_z(quaternion, held)[-1], held[-1]
+    return rotation_about(quaternion, held=held)[-1], held[-1]
 
 
 def emulated(scene: Scene, name: str, given: GraspSettings, seed: int) -> dict[str, Any]:
@@ -254,12 +255,12 @@ def emulated(scene: Scene, name: str, given: GraspSettings, seed: int) -> dict[s
     controller = controllers.make(name, scene.hand, control_period=PERIOD)
     with (
         tempfile.TemporaryDirectory() as folder,
-        Emulator(dynamics="mujoco", hand=HAND, object=OBJECT, gravity=PALM, latency=LATENCY,
-                 seed=seed) as emulator,
+        Emulator(dynamics="mujoco", hand=HAND, object=OBJECT, gravity=PALM,
+                 action_latency=REAL_LATENCY, seed=seed) as emulator,
         Bus(emulator.port, range(1, 16), timeout=0.03) as bus,
     ):  # fmt: skip
         source = EmulatedTactile(emulator)
-        plant = ServoHand(bus, scene.hand, limits=patient(given.patience), gains=GAINS,
+        plant = ServoHand(bus, scene.hand, limits=Limits().patient(given.patience), gains=GAINS,
                           tactile=source, control_period=PERIOD)  # fmt: skip
         path = Path(folder) / "run.mcap"
         with LogWriter(path) as log:
@@ -349,7 +350,8 @@ def _figures(
         found.append(
             Figure(
                 f"{controllers.entry(name).title} for {given.seconds:g} s in real time through the "
-                "emulated bus, 0.6 rad/s, 0.5 N m, 0.05 s latency",
+                f"emulated bus, {REAL_SPEED:g} rad/s, {REAL_TORQUE:g} N m, {REAL_LATENCY:g} s "
+                "latency",
                 f"{len(whole)} of {len(runs)} runs to the end; {angles} rad",
                 "to the end",
                 len(whole) == len(runs),

@@ -21,16 +21,18 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from common import Figure, Settings, in_turns, patient, progress, settings, spread, write
+from common import Figure, Settings, in_turns, progress, settings, spread, write
 
 import dexctl
 from dexctl import Controller
+from dexctl.limits import REAL_SPEED, REAL_TORQUE
 from dexctl.sim import Scene
 from hardware import ticker
 from hardware.bus import Bus
 from hardware.emulated_touch import EmulatedTactile
 from hardware.emulator import Emulator
 from hardware.hand import ServoHand
+from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
 from hardware.motions import Sine
 from hardware.runner import Runner
@@ -40,7 +42,7 @@ IDS = range(1, 16)
 GOAL_HZ = 700
 LATE = 1e-3  # [s]
 MOST_LATE = {True: 0.01, False: 0.05}  # share of ticks, by whether real-time scheduling is there
-GAINS = to_servo(SimGains(3.0, 0.15, 0.5, 0.6))
+GAINS = to_servo(SimGains(3.0, 0.15, REAL_TORQUE, REAL_SPEED))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +66,7 @@ def cycles(given: LoopSettings) -> tuple[dict[str, np.ndarray], dict[str, int]]:
     hand = dexctl.hands.load("dex5")
     # the cycles come one after the other, so a period of a cycle is what the speed limit reckons by
     with Emulator() as emulator, Bus(emulator.port, IDS, timeout=0.1) as bus:
-        limits = patient(given.patience)
+        limits = Limits().patient(given.patience)
         plant = ServoHand(bus, hand, limits=limits, gains=GAINS, control_period=0.001)
         plant.arm()
         start = plant.q_target.copy()
@@ -112,7 +114,7 @@ def loop(
     ):
         source = EmulatedTactile(emulator) if held else None
         # late ticks are what is measured here: they must not end the run
-        limits = replace(patient(given.patience), overruns=(1.0, 1.0))
+        limits = replace(Limits().patient(given.patience), overruns=(1.0, 1.0))
         plant = ServoHand(bus, controller.hand, limits=limits, gains=GAINS, tactile=source,
                           control_period=controller.control_period)  # fmt: skip
         path = Path(folder) / "run.mcap"

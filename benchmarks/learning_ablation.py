@@ -18,10 +18,10 @@ from typing import Any
 from common import FULL_TURN, Settings, earlier, over_seeds, progress, settings, share, write
 
 from dexctl.exceptions import UnknownName
+from learning import policies
 from learning.envs import EnvConfig
 from learning.evaluate import Protocol, evaluate
 from learning.exploration.guide import GuidanceConfig
-from learning.policy import load_policy
 from learning.recipes import recipe
 from learning.settings import TrainConfig
 
@@ -125,18 +125,19 @@ def config(name: str, seed: int, given: Options) -> TrainConfig:
 
 def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
     """Train a variant, or go on; evaluate its policy."""
-    from learning.train import CONFIG_NAME, read_config, resume, train
+    from learning.train import read_config, resume, train
+    from learning.training.run_folder import RunFolder
 
     folder = given.runs / f"{name}-{seed}"
     wanted = config(name, seed, given)
     try:
-        if (folder / CONFIG_NAME).exists() and read_config(folder) == wanted:
+        if RunFolder.is_run(folder) and read_config(folder) == wanted:
             found = resume(folder)
         else:
             found = train(wanted, folder)
     except KeyboardInterrupt:  # its checkpoint is saved; the pool would give it the next training
         os._exit(130)
-    policy = load_policy(found["policy"])
+    policy = policies.load(found["policy"])
     protocol = Protocol(episodes=given.trials, seconds=given.seconds, threads=1)
     alone = evaluate(policy, OBJECT, protocol)
     return {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import tyro
 
 from dexctl.files import aside
 from dexctl.report.style import FAINT, INK, drawing, new_figure
+from learning.training.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 RUNS = {
@@ -38,11 +37,10 @@ class Options:
 
 def read(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """A run's configuration, and its log by column; NaN where a row has no number."""
-    config = json.loads((folder / "config.json").read_text())
-    with (folder / "progress.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    run = RunFolder(folder)
+    rows = run.progress()
     names = ("step", *(name for name, _ in ROWS))
-    return config, {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+    return run.config_values(), {name: np.array([row[name] for row in rows]) for name in names}
 
 
 def main() -> None:

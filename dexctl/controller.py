@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
+from dexctl.saved import check_names
 from dexctl.state import Floats, GraspState
 
 
@@ -51,6 +52,45 @@ class Controller(ABC):
     def act(self, state: GraspState) -> Floats:
         """The set-point change ``(..., d)`` [rad] for this control period."""
 
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the actions to come, beyond hand and settings.
+
+        A nested dictionary of numpy arrays, None, bool, int, float and str, which a file can hold
+        without holding code.
+
+        Raises:
+            NotImplementedError: this controller does not give its state; it can only begin anew.
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not give its state: no state_dict")
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue from what `state_dict` gave, of a controller with the same hand and settings.
+
+        The batch size is part of it; a controller that is at work must have the same.
+
+        Raises:
+            InvalidInput: it is of another controller, hand or batch; this one is to be reset then.
+            NotImplementedError: this controller cannot continue.
+        """
+        raise NotImplementedError(f"{type(self).__name__} cannot continue: no load_state_dict")
+
+    def _signed(self, **parts: Any) -> dict[str, Any]:
+        """A saved state of ``parts`` that says of which controller and hand it is."""
+        return {
+            "controller": type(self).__name__,
+            "joints": ", ".join(self.hand.joint_names),
+            **parts,
+        }
+
+    def _parts(self, saved: Mapping[str, Any], *names: str) -> Mapping[str, Any]:
+        """``saved`` where it is what `_signed` gave, with parts of these names."""
+        own = self._signed()
+        for name, value in own.items():
+            found = saved.get(name) if isinstance(saved, Mapping) else None
+            if found != value:
+                raise InvalidInput(f"the saved state has {name} {found!r}; expected {value!r}")
+        return check_names(type(self).__name__, saved, (*own, *names))
+
     @property
     def diagnostics(self) -> Mapping[str, Any]:
         """What the last :meth:`act` found: named arrays with the batch dimensions in front."""
@@ -73,6 +113,17 @@ class Superposition(Controller):
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         for controller in self.controllers:
             controller.reset(seed, mask)
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed(
+            **{str(i): controller.state_dict() for i, controller in enumerate(self.controllers)}
+        )
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        names = [str(i) for i in range(len(self.controllers))]
+        parts = self._parts(saved, *names)
+        for name, controller in zip(names, self.controllers, strict=True):
+            controller.load_state_dict(parts[name])
 
     def act(self, state: GraspState) -> Floats:
         action = self.controllers[0].act(state)

@@ -3,32 +3,55 @@
 dexctl's own stand in a table. Other packages add theirs through the entry-point group
 ``dexctl.controllers``: the name is the controller's, the object is called as ``object(hand,
 control_period=..., **options)``, without ``control_period`` where the controller may choose, and
-returns the `Controller`. It is loaded when it is made, not before.
+returns the `Controller`. One that names a keyword ``axis`` can be told about which axis to turn the
+object; any other turns about z. It is loaded when it is made, not before.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from inspect import Parameter, signature
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_state
-from dexctl.exceptions import UnknownName
+from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
+from dexctl.rooms import check_room
 from dexctl.state import Floats, GraspState
+from dexctl.validation import unit_axis
 
 
 @final
 class Hold(Controller):
-    """Leaves the set-points where they are: what the grasp does by itself, for comparison."""
+    """Leaves the set-points where they are: what the grasp does by itself, for comparison.
+
+    Args:
+        hand: the hand.
+        control_period: [s].
+        axis: whichever; it does not turn.
+    """
+
+    def __init__(
+        self, hand: HandModel, *, control_period: float = 0.05, axis: ArrayLike | None = None
+    ) -> None:
+        super().__init__(hand, control_period=control_period)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Nothing to forget."""
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed()
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        self._parts(saved)
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
@@ -51,6 +74,15 @@ class ControllerEntry:
     description: str
     module: str
     attribute: str
+
+    def load(self) -> Callable[..., Controller]:
+        """The controller's class, or what another package registered in its place.
+
+        Raises:
+            RoomShadowed: it is of a package of dexctl's that another one shadows.
+        """
+        check_room(self.module)
+        return getattr(import_module(self.module), self.attribute)
 
 
 _CONTROLLERS = {
@@ -96,10 +128,15 @@ _CONTROLLERS = {
 
 
 GROUP = "dexctl.controllers"
+Z = (0.0, 0.0, 1.0)  # the axis of every controller that is not told another one
+
+POLICIES = "learned"
+"""The name whose object takes policies: ``object(hand, policy=NAME, FILE or FOLDER)``."""
+_FUNCTION = "module:function"
 
 # words for a name that comes with dexctl, whose object is of another room
 _WORDS = {
-    "learned": ("learned gait", "a policy that was trained with the controllers as its guides")
+    POLICIES: ("learned gait", "a policy that was trained with the controllers as its guides")
 }
 
 
@@ -146,7 +183,7 @@ def make(
     hand: HandModel,
     *,
     control_period: float | None = 0.05,
-    axis: tuple[float, float, float] | None = None,
+    axis: ArrayLike | None = None,
     **options: Any,
 ) -> Controller:
     """The controller ``name`` for ``hand``.
@@ -156,38 +193,112 @@ def make(
         hand: the hand.
         control_period: time between two calls of ``act`` [s]; None: what the controller's class
             takes by itself, such as the one that a policy was trained with.
-        axis: unit vector, hand frame, about which the object is to be turned, with the speed that
-            the controller's settings have; None keeps their axis, which is z by default.
+        axis: hand frame, ``(3,)``, about which the object is to be turned, at the speed that the
+            controller's settings have; None keeps their axis, which is z by default. A trained
+            policy keeps the axis that it was trained with.
         **options: what else the controller's class takes, settings among it.
 
     Raises:
         UnknownName: no such controller.
-        InvalidInput: a setting out of range.
+        InvalidInput: a setting out of range or unknown, or an axis other than z for a controller of
+            another package that does not take one.
+        RoomShadowed: another package shadows the one that it is of.
     """
     found = entry(name)
-    kind = getattr(import_module(found.module), found.attribute)
+    kind = found.load()
+    taken, more = _keywords(kind)
     if control_period is not None:
         options["control_period"] = control_period
-    controller = kind(hand, **options)
-    config = getattr(controller, "config", None)
-    if axis is None or config is None:
-        return controller
-    turned = _about(config, axis)
+    if axis is not None:
+        unit = unit_axis(axis)
+        if "axis" in taken:
+            options["axis"] = unit
+        elif unit != Z:
+            raise InvalidInput(
+                f"controller {name!r} cannot be turned to the axis {axis}: it takes no keyword axis"
+            )
+    unknown = [option for option in options if option not in taken]
+    if unknown and not more:
+        raise InvalidInput(
+            f"controller {name!r} does not take {', '.join(unknown)}; known: {', '.join(taken)}"
+        )
+    return kind(hand, **options)
+
+
+def _keywords(kind: Callable[..., Controller]) -> tuple[list[str], bool]:
+    """The keywords that a controller's class or function names, and whether it takes others too."""
+    parameters = list(signature(kind).parameters.values())[1:]  # the first is the hand
+    named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
     return (
-        controller
-        if turned is config
-        else kind(hand, turned, control_period=controller.control_period)
+        [one.name for one in parameters if one.kind in named],
+        any(one.kind is Parameter.VAR_KEYWORD for one in parameters),
     )
 
 
-def _about(config: Any, axis: tuple[float, float, float]) -> Any:
-    """A controller's settings with its rotation about ``axis``; the same object where it is so."""
-    if hasattr(config, "in_grasp"):
-        inner = _about(config.in_grasp, axis)
-        return config if inner is config.in_grasp else replace(config, in_grasp=inner)
-    if hasattr(config, "twist"):
-        speed = float(np.linalg.norm(config.twist[3:]))
-        spin = tuple(speed * float(x) for x in axis)
-        same = np.allclose(spin, config.twist[3:], rtol=0.0, atol=1e-12)
-        return config if same else replace(config, twist=(*config.twist[:3], *spin))
-    return config if tuple(config.axis) == tuple(axis) else replace(config, axis=tuple(axis))
+def resolve(
+    name: str,
+    hand: HandModel,
+    *,
+    control_period: float | None = None,
+    axis: tuple[float, float, float] | None = None,
+) -> Controller:
+    """The controller that a word on the command line means.
+
+    Args:
+        name: a controller by name (`names`), a policy by name (``dex5-cylinder``), a policy file
+            (``.npz``), a run folder, or ``module:function``, which is called as
+            ``function(hand, control_period=..., axis=...)``, without what is None; one that takes
+            no axis turns about z.
+        hand: the hand.
+        control_period: time between two calls of ``act`` [s]; None: what the controller's class
+            takes by itself, and a policy what it was trained with.
+        axis: see `make`. A policy turns about the axis that it was trained for.
+
+    Raises:
+        UnknownName: it is none of these.
+        InvalidInput: a damaged or missing file, a policy for another hand or period, or a function
+            that cannot be called so, takes no axis but is given one other than z, or makes
+            something else than a controller.
+        RoomShadowed: it needs a package of dexctl's that another one shadows.
+    """
+    if name in names() and name != POLICIES:
+        return make(name, hand, control_period=control_period, axis=axis)
+    is_path = name.endswith(".npz") or Path(name).expanduser().is_dir()
+    if ":" in name and not is_path:
+        return _called(name, hand, {"control_period": control_period, "axis": axis})
+    if POLICIES not in names():
+        if is_path or name == POLICIES:
+            raise InvalidInput(f"{name}: policies need dexctl to be installed (pip install)")
+        raise UnknownName("controller", name, (*names(), _FUNCTION))
+    policy = None if name == POLICIES else name
+    try:
+        return make(POLICIES, hand, control_period=control_period, policy=policy)
+    except UnknownName as error:
+        if error.kind != "policy":
+            raise
+        raise UnknownName("controller", name, (*names(), *error.known, _FUNCTION)) from None
+
+
+def _called(name: str, hand: HandModel, options: dict[str, Any]) -> Controller:
+    """What ``module:function`` makes."""
+    module, _, attribute = name.partition(":")
+    try:
+        function = getattr(import_module(module), attribute)
+        takes = signature(function)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise InvalidInput(f"controller is {name!r}; it cannot be loaded: {error}") from None
+    given = {key: value for key, value in options.items() if value is not None}
+    kinds = {parameter.kind for parameter in takes.parameters.values()}
+    if "axis" not in takes.parameters and Parameter.VAR_KEYWORD not in kinds:
+        axis = given.pop("axis", None)
+        if axis is not None and tuple(axis) != (0.0, 0.0, 1.0):
+            raise InvalidInput(f"{name} takes no axis, so it turns about z; got {axis}")
+    try:
+        takes.bind(hand, **given)
+    except TypeError as error:
+        with_what = "".join(f", {key}=..." for key in given)
+        raise InvalidInput(f"{name} cannot be called as (hand{with_what}): {error}") from None
+    made = function(hand, **given)
+    if not isinstance(made, Controller):
+        raise InvalidInput(f"{name} made a {type(made).__name__}; expected a dexctl.Controller")
+    return made

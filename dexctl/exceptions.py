@@ -44,3 +44,7 @@ class MissingExtra(DexctlError, ImportError):
 
 class SimulationError(DexctlError, RuntimeError):
     """A simulated scene cannot be built, stepped or restored."""
+
+
+class RoomShadowed(DexctlError, ImportError):
+    """Another package of the name of one of dexctl's is found before it."""

@@ -16,7 +16,7 @@ import pinocchio
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.configuration import HandConfiguration
+from dexctl.configuration import FingerJoints, HandConfiguration
 from dexctl.description import Description, Joint, Mimic, read_mjcf, read_urdf
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
@@ -142,7 +142,7 @@ class HandModel:
                 pinocchio.computeJointJacobians(self._model, self._data, row)
                 chains = self._twist_view.T[self._chain_slots]
                 tips = self._tip_view.copy()
-            return HandConfiguration(self, tips, self._reduced(chains))
+            return HandConfiguration(self._fingers, tips, self._reduced(chains))
         batch = q.shape[:-1]
         rows = q.reshape(-1, self.nq) @ self._expand
         rows += self._expand_offset
@@ -155,7 +155,9 @@ class HandModel:
                 tips[i] = self._tip_view
         chains = self._reduced(twist.swapaxes(-1, -2)[:, self._chain_slots])
         return HandConfiguration(
-            self, tips.reshape(*batch, *tips.shape[1:]), chains.reshape(*batch, *chains.shape[1:])
+            self._fingers,
+            tips.reshape(*batch, *tips.shape[1:]),
+            chains.reshape(*batch, *chains.shape[1:]),
         )
 
     def _reduced(self, chains: Floats) -> Floats:
@@ -339,6 +341,7 @@ class HandModel:
         plain = reduce.shape[1] == longest and bool((reduce == np.eye(longest)).all())
         self._reduce = None if plain else reduce
         self.moves: Bools = np.asarray(self.finger_joint_map.any(axis=1))
+        self._fingers = FingerJoints(self.finger_joints, self.finger_joint_map, self.moves)
         self.shares_joints = bool((self.moves.sum(axis=0) > 1).any())
 
 

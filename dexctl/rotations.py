@@ -3,38 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.state import Floats
-
-AXES = {
-    sign + name: tuple(value if i == j else 0.0 for j in range(3))
-    for sign, value in (("", 1.0), ("-", -1.0))
-    for i, name in enumerate("xyz")
-}
-"""Unit vectors by name: x, y, z, -x, -y, -z."""
-
-
-def unit_axis(axis: str | ArrayLike) -> Floats:
-    """An axis by name, or a vector of any length above 0, as a unit vector ``(3,)``.
-
-    Raises:
-        UnknownName: no such name.
-        InvalidInput: no vector of three finite numbers, or one without length.
-    """
-    if isinstance(axis, str):
-        if axis not in AXES:
-            raise UnknownName("axis", axis, [*AXES, "a vector x,y,z"])
-        return np.array(AXES[axis])
-    try:
-        vector = np.asarray(axis, float)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    length = np.linalg.norm(vector) if vector.shape == (3,) else 0.0
-    if not (np.isfinite(length) and length > 0):
-        raise InvalidInput(f"axis is {axis}; expected x, y, z or a vector of length > 0")
-    return vector / length
 
 
 def rotate(quaternion: Floats, vector: Floats) -> Floats:

@@ -9,12 +9,14 @@ environment.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
+from dexctl.saved import check_names
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -26,6 +28,15 @@ class StreamsState(NamedTuple):
 
     key: NDArray[np.uint64]
     counter: NDArray[np.uint64]
+
+
+def _wrapped(seed: ArrayLike) -> NDArray[np.uint64]:
+    """Seeds as they count: modulo 2^64."""
+    # as Python's integers, whose remainder is right for negative and for huge seeds
+    seeds = np.asarray(seed, object)
+    if not all(isinstance(one, (int, np.integer)) for one in seeds.flat):
+        raise InvalidInput(f"seed is {seed!r}; expected an integer, or one for each environment")
+    return np.array([int(one) % 2**64 for one in seeds.flat], np.uint64).reshape(seeds.shape)
 
 
 def _mix(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
@@ -54,21 +65,15 @@ class Streams:
         self._counter = np.zeros(batch_shape, np.uint64)
 
     def _keys(self, seed: ArrayLike) -> NDArray[np.uint64]:
-        # as Python's integers, whose remainder is right for negative and for huge seeds
-        seeds = np.asarray(seed, object)
-        if seeds.shape not in ((), self.batch_shape) or not all(
-            isinstance(one, (int, np.integer)) for one in seeds.flat
-        ):
+        seeds = _wrapped(seed)
+        if seeds.shape not in ((), self.batch_shape):
             raise InvalidInput(
                 f"seed is {seed!r}; expected an integer, or integers of shape {self.batch_shape}"
             )
         if seeds.ndim == 0:
-            first, count = int(seeds.item()), int(np.prod(self.batch_shape))
-            numbers = range(first, first + count)
-        else:
-            numbers = (int(one) for one in seeds.flat)
-        wrapped = np.array([number % 2**64 for number in numbers], np.uint64)
-        return _mix(_mix(wrapped + _GOLDEN) + _GOLDEN).reshape(self.batch_shape)
+            seeds = seeds + np.arange(int(np.prod(self.batch_shape)), dtype=np.uint64)
+        # in one dimension, where numpy lets integers wrap without a warning
+        return _mix(_mix(seeds.ravel() + _GOLDEN) + _GOLDEN).reshape(self.batch_shape)
 
     def reseed(self, seed: ArrayLike, mask: NDArray[np.bool_] | None = None) -> None:
         """Start the streams (of the environments in ``mask``) anew."""
@@ -106,5 +111,58 @@ class Streams:
         return StreamsState(self._key.copy(), self._counter.copy())
 
     def restore(self, saved: StreamsState) -> None:
-        """Continue from a saved state."""
+        """Continue from a saved state.
+
+        Raises:
+            InvalidInput: it is not of this batch shape.
+        """
+        for name, array in saved._asdict().items():
+            if np.shape(array) != self.batch_shape or np.asarray(array).dtype != np.uint64:
+                raise InvalidInput(
+                    f"the saved {name} of the random streams is of shape {np.shape(array)} and "
+                    f"kind {np.asarray(array).dtype}; expected {self.batch_shape} and uint64"
+                )
         self._key, self._counter = saved.key.copy(), saved.counter.copy()
+
+
+class LateStreams:
+    """Streams of a batch whose shape shows at the first draw; a new shape starts them anew."""
+
+    def __init__(self) -> None:
+        self._seed: ArrayLike = 0
+        self._streams: Streams | None = None
+
+    def reset(self, seed: ArrayLike | None, mask: NDArray[np.bool_] | None = None) -> None:
+        """Start the streams (of the environments in ``mask``) anew; None lets them go on."""
+        if seed is None:
+            return
+        if mask is None:
+            self._seed, self._streams = seed, None
+        else:
+            self.of(mask.shape).reseed(seed, mask)
+
+    def of(self, batch_shape: tuple[int, ...]) -> Streams:
+        """The streams of this batch shape."""
+        if self._streams is None or self._streams.batch_shape != batch_shape:
+            self._streams = Streams(self._seed, batch_shape)
+        return self._streams
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the numbers to come; key and counter are None before the first draw."""
+        drawn = None if self._streams is None else self._streams.save()
+        key, counter = (None, None) if drawn is None else drawn
+        return {"seed": _wrapped(self._seed), "key": key, "counter": counter}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue from what `state_dict` gave.
+
+        Raises:
+            InvalidInput: it is not of streams.
+        """
+        found = check_names("random streams", saved, ("seed", "key", "counter"))
+        drawn: Any = found["key"], found["counter"]
+        streams = None
+        if any(part is not None for part in drawn):
+            streams = Streams(0, np.shape(drawn[0]))
+            streams.restore(StreamsState(*drawn))
+        self._seed, self._streams = _wrapped(found["seed"]), streams

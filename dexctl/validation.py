@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any, Protocol, TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import InvalidInput, UnknownName
 
 
 def check_numbers(
@@ -31,6 +35,12 @@ def check_numbers(
             number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
             if not (number and np.isfinite(value) and low <= value <= high):
                 raise InvalidInput(f"{name} is {value!r}; expected {wanted}")
+
+
+def check_name(what: str, value: object, known: Sequence[object]) -> None:
+    """Raise UnknownName where ``value`` is none of those known."""
+    if value not in known:
+        raise UnknownName(what, str(value), [str(one) for one in known])
 
 
 def check_whole(config: object, **least: int) -> None:
@@ -74,11 +84,56 @@ def check_twist(twist: object) -> None:
         )
 
 
-def check_axis(axis: object) -> None:
-    """Raise InvalidInput where ``axis`` is not a direction."""
+AXES: dict[str, tuple[float, float, float]] = {
+    "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
+}  # fmt: skip
+
+
+def unit_axis(axis: object) -> tuple[float, float, float]:
+    """An axis by name, or a vector of any length above 0, as a unit vector.
+
+    Raises:
+        UnknownName: no such name.
+        InvalidInput: no vector of three finite numbers, or one without length.
+    """
+    if isinstance(axis, str):
+        if axis not in AXES:
+            raise UnknownName("axis", axis, [*AXES, "a vector x,y,z"])
+        return AXES[axis]
     try:
-        array = np.asarray(axis, float)
+        vector = np.asarray(axis, float)
     except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != (3,) or not np.isfinite(array).all() or not array.any():
+        vector = np.zeros(0)
+    length = np.linalg.norm(vector) if vector.shape == (3,) else 0.0
+    if not (np.isfinite(length) and length > 0):
         raise InvalidInput(f"axis is {axis!r}; expected three finite numbers, not all zero")
+    x, y, z = (vector / length).tolist()
+    return x, y, z
+
+
+class Turnable(Protocol):
+    """Settings of a controller that turns objects."""
+
+    def about(self, axis: object) -> Any:
+        """The same with the rotation about ``axis`` ``(3,)``, at the same speed."""
+        ...
+
+
+C = TypeVar("C", bound=Turnable)
+
+
+def with_changes(config: C, changes: Mapping[str, Any], axis: object = None) -> C:
+    """The settings with single ones changed, and then turned about ``axis``; None leaves it.
+
+    Raises:
+        InvalidInput: there is no such setting, or a value is out of range.
+    """
+    known = [field.name for field in fields(config)]  # type: ignore[arg-type]
+    for name in changes:
+        if name not in known:
+            raise InvalidInput(
+                f"{type(config).__name__} has no setting {name!r}; known: {', '.join(known)}"
+            )
+    changed = replace(config, **changes)  # type: ignore[type-var]
+    return changed if axis is None else changed.about(axis)

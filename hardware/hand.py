@@ -15,15 +15,16 @@ from numpy.typing import ArrayLike
 
 from dexctl import GraspState, HandModel
 from dexctl.exceptions import InvalidInput
+from dexctl.limits import LimitedGoal, limit_goal
 from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus
 from hardware.calibration import Calibration
 from hardware.exceptions import BusError, PortLost, ServoError
-from hardware.limits import LimitedGoal, Limits, limit_goal
-from hardware.machine import Torque
+from hardware.limits import Limits
 from hardware.registers import OperatingMode, Register
 from hardware.samples import Health, JointSample, TorqueReport
+from hardware.state_machine import Torque
 from hardware.tactile import NoTactile, TactileReading, TactileSource
 from hardware.ticker import Ticker
 from hardware.units import ServoGains
@@ -120,12 +121,12 @@ class ServoHand:
         self.q_target = self.calibration.joint_angle(position, self._turn_count)
         self._set(registers.GOAL_POSITION, position)
         self._set(registers.PROFILE_ACCELERATION, 0.0)
-        self._set(registers.PROFILE_VELOCITY, self.limits.speed)
+        self._set(registers.PROFILE_VELOCITY, self.limits.speed_limit)
         if self.gains is not None:
             self._set(registers.POSITION_P_GAIN, float(self.gains.p))
             self._set(registers.POSITION_D_GAIN, float(self.gains.d))
             self._set(registers.POSITION_I_GAIN, 0.0)
-        self._set(registers.GOAL_CURRENT, self.calibration.current(self.limits.torque))
+        self._set(registers.GOAL_CURRENT, self.calibration.current(self.limits.torque_limit))
 
     def configure(self) -> None:
         """Torque off, settings that live in EEPROM written where they differ, turns resolved.
@@ -143,7 +144,7 @@ class ServoHand:
             (registers.DRIVE_MODE, 0.0),
             (registers.HOMING_OFFSET, 0.0),
             (registers.RETURN_DELAY, 0.0),
-            (registers.CURRENT_LIMIT, self.calibration.current(self.limits.torque)),
+            (registers.CURRENT_LIMIT, self.calibration.current(self.limits.torque_limit)),
         ):
             if not self._is_set(register, value):
                 self._set(register, value)
@@ -308,7 +309,7 @@ class ServoHand:
             self.q_target,
             self.calibration.lower,
             self.calibration.upper,
-            self.limits.speed * self.control_period,
+            self.limits.speed_limit * self.control_period,
         )
         self._send(limited.q_target)
         self._last_limited = limited

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from hardware.machine import Event, State, Torque
+from hardware.state_machine import Event, State, Torque
 
 
 @dataclass(frozen=True, kw_only=True)

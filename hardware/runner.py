@@ -2,8 +2,8 @@
 
 Each tick: signals, one read of all joints, one question about the servos' health, the controller's
 command, one write, one log message. What may go wrong is told to the state machine of
-`hardware.machine`, and what that says is done. Every path out of :meth:`Runner.run` has taken the
-torque off and says what is known of it.
+`hardware.state_machine`, and what that says is done. Every path out of :meth:`Runner.run` has taken
+the torque off and says what is known of it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from dexctl.state import Floats
 from hardware.exceptions import BusError, PortLost
 from hardware.hand import ServoHand
 from hardware.log import LogWriter
-from hardware.lookout import Lookout
-from hardware.machine import COUNTED, Action, Event, State, Torque, transition
+from hardware.monitor import Monitor
 from hardware.run_report import RunEvent, RunReport
 from hardware.samples import JointSample, TorqueReport
+from hardware.state_machine import COUNTED, Action, Event, State, Torque, transition
 from hardware.ticker import Interrupts, Ticker, spread, undisturbed
 from hardware.worker import Command, ControllerThread, warm_up
 
@@ -127,7 +127,7 @@ class _Run:
         self.start_at: float | None = None
         self.release_at: float | None = None
         self.done = False
-        self.lookout = Lookout(self.hand, self.happen)
+        self.monitor = Monitor(self.hand, self.happen)
         self.times: dict[str, list[float]] = {"lateness": [], "cycle": [], "controller": []}
         self.asked_interrupts = 0
         self.command: Command | None = None
@@ -139,7 +139,7 @@ class _Run:
         try:
             self.hand.arm()
             self.ticker.restart()
-            self.lookout.restart()
+            self.monitor.restart()
             self.start = time.monotonic()
             self.happen(Event.ARM, "set-points where the joints stand")
             while not self.done:
@@ -169,8 +169,8 @@ class _Run:
         try:
             self.look_at_signals()
             sample = self.hand.sample()
-            self.lookout.at_joints(sample)
-            self.lookout.at_health()
+            self.monitor.at_joints(sample)
+            self.monitor.at_health()
             if not self.done:
                 self.drive(sample)
             if self.runner._on_tick is not None and self.state is State.RUN:
@@ -182,7 +182,7 @@ class _Run:
             self.happen(Event.READS_LOST, str(error))
         cycle = time.monotonic() - began
         self.times["cycle"].append(cycle)
-        self.lookout.at_clock(cycle, tick.skipped)
+        self.monitor.at_clock(cycle, tick.skipped)
 
     def drive(self, sample: JointSample) -> None:
         """Send what is to be sent in this state."""
@@ -202,7 +202,7 @@ class _Run:
                 if limited is not None and limited.out_of_range.any():
                     # it would never get there
                     self.approach = np.where(limited.out_of_range, hand.q_target, self.approach)
-                    self.lookout.at_limits()
+                    self.monitor.at_limits()
             if self.state is State.ARMED:
                 return
         if self.state is State.RUN:
@@ -212,7 +212,7 @@ class _Run:
 
     def ask_controller(self, sample: JointSample) -> None:
         state = self.hand.state(sample)
-        self.lookout.at_touch(self.runner._needs_tactile)
+        self.monitor.at_touch(self.runner._needs_tactile)
         if self.state is not State.RUN:
             return
         self.worker.ask(state)
@@ -237,11 +237,11 @@ class _Run:
         elif not np.isfinite(command.change).all():
             self.happen(
                 Event.GOAL_NOT_FINITE,
-                f"{self.lookout.joints(~np.isfinite(command.change))}: NaN or infinity",
+                f"{self.monitor.joints(~np.isfinite(command.change))}: NaN or infinity",
             )
         else:
             self.hand.write(self.hand.q_target + command.change)
-            self.lookout.at_limits()
+            self.monitor.at_limits()
             return
         self.command = None
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.state import Bools, Floats
-from hardware.machine import Torque
+from hardware.state_machine import Torque
 
 
 class JointSample(NamedTuple):

@@ -15,7 +15,9 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from learning.policy import Policy, load_policy, save_policy
+from learning.policies import Policy
+from learning.policies import load as load_policy
+from learning.policies import save as save_policy
 
 FINGER_GAITING = "dexctl/FingerGaiting-v0"
 
@@ -28,7 +30,7 @@ def _register() -> None:
     if FINGER_GAITING not in gymnasium.registry:
         gymnasium.register(
             FINGER_GAITING,
-            entry_point="learning.envs.single:FingerGaitingEnv",
+            entry_point="learning.envs.single:ManipulationEnv",
             vector_entry_point="learning.envs.vector:make_from_options",
         )
 

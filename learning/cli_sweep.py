@@ -54,8 +54,8 @@ class Sweep:
             check_count("--jobs", self.jobs)
         if not self.report_only and not (find_spec("torch") and find_spec("stable_baselines3")):
             raise MissingExtra("dexctl sweep", "learning")
-        from learning.sweep.lock import locked
         from learning.sweep.run import check, prepare, reopen, run_all
+        from learning.training.run_folder import locked
 
         given = self.config.expanduser()
         if given.is_dir():

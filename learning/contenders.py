@@ -9,8 +9,9 @@ from typing import Any
 from dexctl import controllers, hands
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
+from learning import policies
 from learning.envs.config import EnvConfig, unit_axis
-from learning.policy import Policy, load_policy
+from learning.policies import Policy
 from learning.transfer import Trained
 
 
@@ -32,7 +33,7 @@ def load_contender(
         UnknownName: no such controller.
     """
     if text.endswith(".npz"):
-        return load_policy(Path(text).expanduser(), hand=hand, parts=parts)
+        return policies.load(Path(text).expanduser(), hand=hand, parts=parts)
     if text not in controllers.names():
         raise UnknownName("policy", text, ["a policy file (.npz)", *controllers.names()])
     return controllers.make(text, hands.load(hand or "dex5"))

@@ -21,7 +21,7 @@ import dexctl
 from dexctl.controller import Controller
 from dexctl.files import aside
 from learning.evaluate import Evaluation, Protocol, evaluate
-from learning.policy import Policy
+from learning.policies import Policy
 from learning.robustness import disturbance
 
 FORMAT = 1

@@ -21,8 +21,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code = _dispatch(arguments)
         sys.stdout.flush()
-    except KeyboardInterrupt:
-        return _complain("interrupted", INTERRUPTED)
+    except KeyboardInterrupt as stop:  # what was saved, where something was
+        return _complain(str(stop) or "interrupted", INTERRUPTED)
     except BrokenPipeError:
         # whoever read our output has gone; keep Python from complaining once more when it exits
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -16,7 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from dexctl.exceptions import DexctlError, UnknownName
+from dexctl.exceptions import DexctlError, RoomShadowed, UnknownName
+from dexctl.rooms import check_room, home
 
 GROUP = "dexctl.commands"
 
@@ -50,10 +51,16 @@ class CommandEntry(NamedTuple):
         """The command's class, or a mapping of names to classes.
 
         Raises:
-            CommandUnavailable: what it needs cannot be imported.
+            CommandUnavailable: what it needs cannot be imported, or is shadowed by another package.
         """
+        point = EntryPoint(self.name, self.target, GROUP)
         try:
-            return EntryPoint(self.name, self.target, GROUP).load()
+            check_room(point.module)
+            return point.load()
+        except RoomShadowed as error:
+            raise CommandUnavailable(
+                f"the command {self.name!r} cannot be loaded: {error}"
+            ) from None
         except (ImportError, AttributeError) as error:
             raise CommandUnavailable(
                 f"the command {self.name!r} cannot be loaded from {self.target}: {error}"
@@ -114,15 +121,20 @@ def _summary(point: EntryPoint) -> str:
 
 
 def _source(module: str) -> Path:
-    """The file of a module; only the top-level package is looked up, and nothing is imported."""
+    """The file of a module; only the top-level package is looked up, and nothing is imported.
+
+    The packages that come with dexctl are read where they are, whatever shadows them.
+    """
     package, *rest = module.split(".")
-    spec = find_spec(package)
-    if spec is None or spec.origin is None:
-        raise ImportError(f"no package {package!r}")
-    origin = Path(spec.origin)
-    if not rest:
-        return origin
-    path = origin.parent.joinpath(*rest)
+    folder = home(package)
+    if folder is None:
+        spec = find_spec(package)
+        if spec is None or spec.origin is None:
+            raise ImportError(f"no package {package!r}")
+        if not rest:
+            return Path(spec.origin)
+        folder = Path(spec.origin).parent
+    path = folder.joinpath(*rest)
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
 
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from dexctl import controllers
 from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.command_line import command_line
 from dexctl.cli.output import notes, print_json, progress, results, table
 from dexctl.cli.parsing import Switch
 from dexctl.cli.trials import (
-    LEARNED,
     captions,
     check_viz,
     describe,
@@ -24,10 +24,10 @@ from dexctl.cli.trials import (
     scene_of,
     simulation,
 )
-from dexctl.exceptions import SimulationError, UnknownName
-from dexctl.rotations import unit_axis
+from dexctl.exceptions import RoomShadowed, SimulationError, UnknownName
 from dexctl.settings import NESTED, Vector
 from dexctl.sim import SceneConfig
+from dexctl.validation import unit_axis
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -144,8 +144,8 @@ class _Work:
         for name in CONTROLLERS:
             try:
                 controller = make_controller(name, sim.hand, config, axis)
-            except (SimulationError, UnknownName) as error:
-                if name != LEARNED:
+            except (SimulationError, UnknownName, RoomShadowed) as error:
+                if name != controllers.POLICIES:
                     raise
                 self.console.print(f"nothing learned: {error}", markup=False)
                 continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,14 @@ def table(*headings: str, right: Collection[str] = (), gap: int = 3, wrap: bool 
     for heading in headings:
         justify = "right" if heading in right else "left"
         made.add_column(escape(heading), justify=justify, no_wrap=not wrap)
+    return made
+
+
+def facts(rows: Iterable[tuple[str, str]]) -> Table:
+    """A table of what, and its value."""
+    made = table()
+    for row in rows:
+        made.add_row(*map(escape, row))
     return made
 
 

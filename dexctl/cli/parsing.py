@@ -91,6 +91,15 @@ def _spelled_out(arguments: Sequence[str], short: Mapping[str, str]) -> list[str
     return words
 
 
+def given(arguments: Sequence[str], option: str) -> str | None:
+    """The value that ``option`` is given, for a default that depends on it; None: it is not."""
+    for word, after in zip(arguments, [*arguments[1:], None], strict=True):
+        flag, equals, value = word.partition("=")
+        if flag == option:
+            return value if equals else after
+    return None
+
+
 def respelled(word: str, table: Mapping[str, str]) -> str:
     """An option as ``table`` spells it; ``--option=value`` too."""
     flag, equals, value = word.partition("=")

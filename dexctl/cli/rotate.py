@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from dexctl import controllers
+from dexctl import hands
 from dexctl.cli.checks import check_count, check_seconds, make_folder
 from dexctl.cli.command_line import command_line
 from dexctl.cli.output import notes, print_json, progress, results, table, to_json
@@ -18,17 +18,19 @@ from dexctl.cli.trials import (
     check_viz,
     describe,
     make_controller,
+    paced,
     run_trials,
     scene_of,
     simulation,
 )
 from dexctl.exceptions import InvalidInput
 from dexctl.limits import HandLimits
-from dexctl.rotations import unit_axis
 from dexctl.settings import NESTED, Vector
 from dexctl.sim import SceneConfig
+from dexctl.validation import unit_axis
 
 if TYPE_CHECKING:
+    from dexctl.controller import Controller
     from dexctl.report.film import Film
     from dexctl.report.summary import BatchSummary
     from dexctl.sim import Scene, Simulation, Trace
@@ -43,7 +45,8 @@ class Rotate:
     """
 
     controller: str = "coordinated"
-    """Name of the controller: igm, switch, gait, coordinated or hold."""
+    """Name of the controller (igm, switch, gait, coordinated, hold), or a policy: learned, its name
+    (dex5-cylinder), its file (.npz), its run folder; or module:function."""
     axis: Vector = "z"
     """Of the hand, about which the object is turned: x, y, z, -x, -y, -z, or x,y,z."""
     seconds: float = 10.0
@@ -73,19 +76,20 @@ class Rotate:
     def run(self) -> int:
         check_seconds(self.seconds, self.scene.control_period)
         check_count("--num-envs", self.num_envs)
-        controllers.entry(self.controller)
-        unit_axis(self.axis)
         if self.video and self.out is None:
             raise InvalidInput("--video is given without --out; expected a folder for rotate.mp4")
         if self.out is not None:
             check_viz("dexctl rotate --out")
         folder = None if self.out is None else make_folder(self.out)
-        with simulation(self.scene, self.num_envs, self.seed) as sim:
+        hand = hands.load(self.scene.hand)
+        controller = make_controller(self.controller, hand, self.scene, self.axis)
+        config = paced(self.scene, controller)
+        with simulation(config, self.num_envs, self.seed, hand) as sim:
             from dexctl.report.film import Film
             from dexctl.report.summary import summarise_batch
 
             film, scene = Film(), scene_of(sim)
-            trace = self._simulate(sim, film)
+            trace = self._simulate(sim, controller, film)
         summary = summarise_batch(trace)
         found = self._as_dict(scene, summary)
         if folder is not None:
@@ -98,8 +102,7 @@ class Rotate:
             self._draw(folder, scene, trace, film)
         return 0
 
-    def _simulate(self, sim: Simulation, film: Film) -> Trace:
-        controller = make_controller(self.controller, sim.hand, self.scene, self.axis)
+    def _simulate(self, sim: Simulation, controller: Controller, film: Film) -> Trace:
         with ExitStack() as stack:
             watch: list[Callable[[Any], None]] = []
             if self.video:
@@ -157,10 +160,11 @@ class Rotate:
         notes().print(f"written: {folder / 'rotate.json'} and {folder / 'report.html'}")
 
     def _draw(self, folder: Path, scene: Scene, trace: Trace, film: Film) -> None:
+        from dexctl.report.style import title_of
         from dexctl.sim.record import Recorder
 
         console, path = notes(), folder / "rotate.mp4"
-        caption = captions(controllers.entry(self.controller).title, trace.trial(0))
+        caption = captions(title_of(self.controller), trace.trial(0))
         with (
             Recorder(scene, path, width=640, height=480) as recorder,
             progress(console) as bar,
@@ -172,8 +176,9 @@ class Rotate:
     def _print(self, summary: BatchSummary) -> None:
         from dexctl.report import words
         from dexctl.report.batch import figures_of_merit
+        from dexctl.report.style import title_of
 
-        title, scene = controllers.entry(self.controller).title, self.scene
+        title, scene = title_of(self.controller), self.scene
         console, shown = results(), table()
         console.print(
             f"[bold]{title}: {scene.hand} turns a {scene.object[0]} {words.about(self.axis)}, "

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput, MissingExtra, SimulationError
-from dexctl.rotations import unit_axis
 from dexctl.settings import to_plain
+from dexctl.validation import unit_axis
 
 if TYPE_CHECKING:
     from dexctl.controller import Controller
     from dexctl.hand import HandModel
     from dexctl.sim import Scene, SceneConfig, Simulation, Trace
 
-LEARNED = "learned"
-"""The controller that is a policy, which has a control period of its own."""
-
-
-def simulation(config: SceneConfig, num_envs: int, seed: int) -> Simulation:
+def simulation(
+    config: SceneConfig, num_envs: int, seed: int, hand: HandModel | None = None
+) -> Simulation:
     """The hand with its one object, and the grasp settled.
 
     Raises:
@@ -31,7 +32,7 @@ def simulation(config: SceneConfig, num_envs: int, seed: int) -> Simulation:
         raise InvalidInput(f"--object is {' '.join(config.object)}; this command takes one object")
     from dexctl.sim import Simulation
 
-    return Simulation(config, num_envs, seed)
+    return Simulation(config, num_envs, seed, hand=hand)
 
 
 def scene_of(sim: Simulation) -> Scene:
@@ -73,26 +74,34 @@ def captions(title: str, trace: Trace) -> Callable[[int], str]:
 def make_controller(
     name: str, hand: HandModel, config: SceneConfig, axis: str | tuple[float, ...] = "z"
 ) -> Controller:
-    """The controller ``name`` with its default settings.
+    """What `dexctl.controllers.resolve` finds for ``name``, with its default settings.
 
-    A policy has the control period that it was trained with; `dexctl.sim.run` says where that is
-    not the simulator's.
+    Controllers take the control period of the scene; a policy has the one of its training, which
+    is then the scene's: see `paced`.
 
     Raises:
-        UnknownName: no such controller, or axis.
-        SimulationError: the hand cannot be driven by it.
+        UnknownName: no such controller or policy, or axis.
+        InvalidInput: a damaged policy, or one for another hand.
+        SimulationError: the hand cannot be driven by that controller.
     """
-    controllers.entry(name)
-    x, y, z = unit_axis(axis)
+    known = name in controllers.names()
+    own = known and controllers.entry(name).module.startswith("dexctl.")
+    period = config.control_period if own else None
     try:
-        return controllers.make(
-            name,
-            hand,
-            control_period=None if name == LEARNED else config.control_period,
-            axis=(float(x), float(y), float(z)),
-        )
+        return controllers.resolve(name, hand, control_period=period, axis=unit_axis(axis))
     except InvalidInput as error:
+        if not known:
+            raise
         raise SimulationError(f"{name} cannot drive {hand.path.stem}: {error}") from error
+
+
+def paced(config: SceneConfig, controller: Controller) -> SceneConfig:
+    """The scene at the controller's own pace, with physics steps as long as before."""
+    period = controller.control_period
+    if np.isclose(period, config.control_period):
+        return config
+    substeps = max(1, round(config.substeps * period / config.control_period))
+    return replace(config, control_period=period, substeps=substeps)
 
 
 def run_trials(

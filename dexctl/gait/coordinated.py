@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,10 +16,12 @@ from dexctl.gait.selection import Grasps, choose, holds_without
 from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 from dexctl.limits import SetPointLimits
+from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Floats, GraspState
-from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Phase
+from dexctl.switch.config import GuardedSwitchConfig
+from dexctl.switch.guarded import GuardedSwitch, Phase
 from dexctl.switch.landing import azimuth, landing_at, split, turned
-from dexctl.validation import check_kind, check_mask, check_numbers
+from dexctl.validation import check_kind, check_mask, check_numbers, with_changes
 
 
 def _turning() -> InGraspManipulationConfig:
@@ -27,34 +30,30 @@ def _turning() -> InGraspManipulationConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class CoordinatedGaitConfig:
-    """Settings of `CoordinatedGait`; angles are about the axis of the wanted rotation.
-
-    Attributes:
-        in_grasp: of in-grasp manipulation; its twist is the wanted motion.
-        switch: of the guarded switch.
-        swing: fingers land this far, against the rotation, from where they were at the reset
-            [rad].
-        least_travel: fingers that have come less than this from their landing stay down [rad].
-        most_travel, slow_down: the object stops before a finger is ``most_travel`` past where it
-            was at the reset, and slows down over the last ``slow_down`` before it [rad].
-        pause: between two switches of a hand [s].
-        friction: assumed by the force-closure guard.
-        hold_force: fingers count as holding from this normal force on [N].
-        residual_weight: what a wrench left by the others counts against a finger's travel [rad].
-        residual_limit: no finger is lifted that leaves more than this, as a share of the grip.
-    """
+    """Settings of `CoordinatedGait`; angles are about the axis of the wanted rotation."""
 
     in_grasp: InGraspManipulationConfig = field(default_factory=_turning)
+    """Of in-grasp manipulation; its twist is the wanted motion."""
     switch: GuardedSwitchConfig = field(default_factory=GuardedSwitchConfig)
+    """Of the guarded switch."""
     swing: float = 0.45
+    """Fingers land this far, against the rotation, from where they were at the reset [rad]."""
     least_travel: float = 0.3
+    """Fingers that have come less than this from their landing stay down [rad]."""
     most_travel: float = 0.5
+    """The object stops before a finger is this far past where it was at the reset [rad]."""
     slow_down: float = 0.2
+    """And slows down over the last so much before it [rad]."""
     pause: float = 0.1
+    """Between two switches of a hand [s]."""
     friction: float = 0.8
+    """Assumed by the force-closure guard."""
     hold_force: float = 0.3
+    """Fingers count as holding from this normal force on [N]."""
     residual_weight: float = 1.0
+    """What a wrench left by the others counts against a finger's travel [rad]."""
     residual_limit: float = 0.6
+    """No finger is lifted that leaves more than this, as a share of the grip."""
 
     def __post_init__(self) -> None:
         check_kind(self, in_grasp=InGraspManipulationConfig, switch=GuardedSwitchConfig)
@@ -67,6 +66,10 @@ class CoordinatedGaitConfig:
             raise InvalidInput(
                 f"in_grasp.twist is {self.in_grasp.twist}; a gait needs a rotation (last three)"
             )
+
+    def about(self, axis: object) -> CoordinatedGaitConfig:
+        """The same with the rotation about ``axis`` ``(3,)``, of any length, at the same speed."""
+        return replace(self, in_grasp=self.in_grasp.about(axis))
 
 
 class CoordinatedGait(Controller):
@@ -89,6 +92,8 @@ class CoordinatedGait(Controller):
             the object as far as it goes without lifting one, and holds it there.
         config: the settings; keyword arguments change single ones.
         control_period: [s].
+        axis: about which the object is to be turned, ``(3,)``, at the speed of the settings; None
+            keeps their axis.
     """
 
     def __init__(
@@ -97,10 +102,11 @@ class CoordinatedGait(Controller):
         config: CoordinatedGaitConfig | None = None,
         *,
         control_period: float = 0.05,
+        axis: ArrayLike | None = None,
         **changes: Any,
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = replace(config or CoordinatedGaitConfig(), **changes)
+        self.config = with_changes(config or CoordinatedGaitConfig(), changes, axis)
         self.in_grasp = InGraspManipulation(
             hand, self.config.in_grasp, control_period=control_period
         )
@@ -118,6 +124,37 @@ class CoordinatedGait(Controller):
             self._fresh = None
         else:
             self._fresh = self._fresh | check_mask(mask, self._fresh.shape)
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        assert self._fresh is not None
+        return {"fresh": self._fresh, "neutral": self._neutral, "wait": self._wait}
+
+    def state_dict(self) -> dict[str, Any]:
+        met = (
+            None
+            if self._fresh is None
+            else {
+                **copies(self._arrays()),
+                "switch": self.switch.state_dict(),
+                "odometry": self._odometry.state_dict(),
+            }
+        )
+        return self._signed(in_grasp=self.in_grasp.state_dict(), met=met)
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        parts = self._parts(saved, "in_grasp", "met")
+        self.in_grasp.load_state_dict(parts["in_grasp"])
+        met = parts["met"]
+        if met is None:
+            self._fresh = None
+            return
+        own = type(self).__name__
+        (count,) = batch_shape(own, met, "wait") or (0,)
+        self._allocate(count)
+        check_names(own, met, (*self._arrays(), "switch", "odometry"))
+        fill(own, self._arrays(), met)
+        self.switch.load_state_dict(met["switch"])
+        self._odometry.load_state_dict(met["odometry"])
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
@@ -179,11 +216,7 @@ class CoordinatedGait(Controller):
         """Allocate for a batch met for the first time; take references of those just reset."""
         count = len(state.q)
         if self._fresh is None:
-            self.switch.start(count)
-            self._fresh = np.ones(count, bool)
-            self._neutral = np.zeros((count, self.hand.n_fingers, 3))
-            self._odometry.start(count)
-            self._wait = np.zeros(count)
+            self._fresh = self._allocate(count)
         if len(self._fresh) != count:
             raise InvalidInput(
                 f"the controller was reset for {len(self._fresh)} hands and got {count}; call "
@@ -206,6 +239,15 @@ class CoordinatedGait(Controller):
         self._wait[fresh] = 0.0
         self.switch.clear(fresh)
         self._fresh = np.zeros(count, bool)
+
+    def _allocate(self, count: int) -> np.ndarray:
+        """Everything for ``count`` hands that have just been reset: all of them."""
+        self.switch.start(count)
+        self._odometry.start(count)
+        self._fresh = np.ones(count, bool)
+        self._neutral = np.zeros((count, self.hand.n_fingers, 3))
+        self._wait = np.zeros(count)
+        return self._fresh
 
     def _begin(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
         """Start switches where none is under way and a finger can be spared."""

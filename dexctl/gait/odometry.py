@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from dexctl.configuration import HandConfiguration
 from dexctl.grasp import grasp_map
 from dexctl.hand import HandModel
 from dexctl.rotations import multiply
+from dexctl.saved import check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 
 _LENGTH = 0.05  # scales rotations to lengths in the least squares [m]
@@ -41,6 +45,33 @@ class ContactOdometry:
         self._holding = np.zeros((count, self._hand.n_fingers), bool)
         self._point = np.zeros((count, self._hand.n_fingers, 3))
         self._jacobian: Floats | None = None
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {
+            "position": self.position,
+            "quaternion": self.quaternion,
+            "q": self._q,
+            "holding": self._holding,
+            "point": self._point,
+        } | ({} if self._jacobian is None else {"jacobian": self._jacobian})
+
+    def state_dict(self) -> dict[str, Any]:
+        """Poses and what the next of them follow from, to be given to `load_state_dict`."""
+        return {"jacobian": None, **copies(self._arrays())}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue with saved poses of as many hands as there are now.
+
+        Raises:
+            InvalidInput: they are none, or of another hand or number of hands.
+        """
+        self.start(len(self.position))
+        check_names("odometry", saved, (*self._arrays(), "jacobian"))
+        if saved["jacobian"] is not None:
+            self._jacobian = np.zeros(
+                (*self._point.shape[:2], self._hand.finger_joints.shape[1], 3)
+            )
+        fill("odometry", self._arrays(), saved)
 
     def place(self, rows: Bools, position: Floats) -> None:
         """The objects in ``rows`` are at ``position`` ``(K, 3)``, whatever happened before."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,26 +14,27 @@ from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 from dexctl.state import Floats, GraspState
 from dexctl.switch.profile import SwitchProfile
-from dexctl.validation import check_kind, check_numbers
+from dexctl.validation import check_kind, check_numbers, with_changes
 
 
 @dataclass(frozen=True, kw_only=True)
 class FingerGaitingConfig:
-    """Settings of `FingerGaiting`.
-
-    Attributes:
-        in_grasp: of in-grasp manipulation; the thesis's by default.
-        duration: of one switch [s]; the thesis's H is duration / control_period (not published).
-        speed: joint speeds of a switch are drawn between these [rad/s].
-    """
+    """Settings of `FingerGaiting`."""
 
     in_grasp: InGraspManipulationConfig = field(default_factory=InGraspManipulationConfig.thesis)
+    """Of in-grasp manipulation; the thesis's by default."""
     duration: float = 1.0
+    """Of one switch [s]; the thesis's H is duration / control_period (not published)."""
     speed: tuple[float, float] = (0.1, 0.4)
+    """Joint speeds of a switch are drawn between these [rad/s]."""
 
     def __post_init__(self) -> None:
         check_kind(self, in_grasp=InGraspManipulationConfig)
         check_numbers(self, positive=("duration",))
+
+    def about(self, axis: object) -> FingerGaitingConfig:
+        """The same with the rotation about ``axis`` ``(3,)``, of any length, at the same speed."""
+        return replace(self, in_grasp=self.in_grasp.about(axis))
 
 
 class FingerGaiting(Controller):
@@ -47,6 +49,8 @@ class FingerGaiting(Controller):
         hand: the hand; every finger needs three joints of its own.
         config: the settings; keyword arguments change single ones.
         control_period: [s].
+        axis: about which the object is to be turned, ``(3,)``, at the speed of the settings; None
+            keeps their axis.
     """
 
     def __init__(
@@ -55,25 +59,34 @@ class FingerGaiting(Controller):
         config: FingerGaitingConfig | None = None,
         *,
         control_period: float = 0.05,
+        axis: ArrayLike | None = None,
         **changes: Any,
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = replace(config or FingerGaitingConfig(), **changes)
+        self.config = with_changes(config or FingerGaitingConfig(), changes, axis)
         self.in_grasp = InGraspManipulation(
             hand, self.config.in_grasp, control_period=control_period
         )
-        axis = np.array(self.config.in_grasp.twist[3:])
+        spin = np.array(self.config.in_grasp.twist[3:])
         self.profile = SwitchProfile(
             hand,
             duration=self.config.duration,
             speed=self.config.speed,
-            axis=axis if axis.any() else (0.0, 0.0, 1.0),
+            axis=spin if spin.any() else (0.0, 0.0, 1.0),
             control_period=control_period,
         )
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self.in_grasp.reset(seed, mask)
         self.profile.reset(seed, mask)
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed(in_grasp=self.in_grasp.state_dict(), profile=self.profile.state_dict())
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        parts = self._parts(saved, "in_grasp", "profile")
+        self.in_grasp.load_state_dict(parts["in_grasp"])
+        self.profile.load_state_dict(parts["profile"])
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linprog, nnls
 
 from dexctl.grasp.cones import (
     DEFAULT_EDGES,
@@ -182,8 +183,6 @@ def _by_primitives(wrenches: Floats) -> bool:
     a negative component along (its optimality conditions). The linear program takes what round-off
     leaves open.
     """
-    from scipy.optimize import nnls  # slow to import, so not before it is needed
-
     used = wrenches[:, np.any(wrenches != 0, axis=0)]
     if not _has_rank(used):
         return False
@@ -227,8 +226,6 @@ def balanced_shares(wrenches: Floats) -> NDArray[np.float64] | None:
     The least share is the greatest possible. None: the wrenches are not of rank 6, or cannot
     balance with all shares positive. A linear program, by HiGHS, to about 1e-7.
     """
-    from scipy.optimize import linprog  # slow to import, so not before it is needed
-
     if not _has_rank(wrenches):
         return None
     count = wrenches.shape[1]

@@ -13,12 +13,13 @@ solved. Objectives in here are divided by rho, and counted from the unconstraine
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from dexctl.grasp.box_qp import TOLERANCE, BoxBatch, solve_box
 from dexctl.state import Bools, Floats
@@ -30,14 +31,6 @@ _PENALTY = 1e-7  # regulariser of each step of the method of multipliers
 _MAX_MULTIPLIER_STEPS = 100
 _RESIDUAL_TIE, _SPREAD_TIE = 1e-8, 1e-7
 _RANK = 1e-7  # singular values below this share of the largest count as zero
-
-
-@cache
-def _dposv() -> Callable[[Floats, Floats], tuple[Floats, Floats, int]]:
-    """LAPACK's solver for positive definite systems, imported when first used."""
-    from scipy.linalg import lapack
-
-    return lapack.dposv  # type: ignore[attr-defined]
 
 
 @cache
@@ -61,7 +54,7 @@ def solve_stability(
         The k forces, and j; -1 where no upper bound is 1 (then only the bounds hold).
     """
     k = len(lower)
-    inverse: list[list[float]] = _dposv()(hessian, _identity(k))[1].tolist()
+    inverse: list[list[float]] = lapack.dposv(hessian, _identity(k))[1].tolist()  # type: ignore[attr-defined]
     table = [[regulariser * a for a in row] for row in inverse]
     free = [sum(row) for row in table]
     candidates = sorted(

@@ -3,60 +3,56 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.hand import HandModel
-from dexctl.validation import check_numbers, check_twist
-
-if TYPE_CHECKING:
-    from dexctl.igm.controller import InGraspManipulation
+from dexctl.validation import check_numbers, check_twist, unit_axis
 
 ENGINES = ("auto", "compiled", "plain")
 
 
 @dataclass(frozen=True, kw_only=True)
 class InGraspManipulationConfig:
-    """Settings of `InGraspManipulation`; speeds are per second.
-
-    Attributes:
-        twist: wanted object velocity (linear [m/s], angular [rad/s]), world frame; the thesis's
-            Delta o over the control period.
-        grip_force: normal force of the finger that presses hardest [N]; scales the QP's result.
-        stability_gain: set-point speed per force error (alpha of eq. dqstab) [m/(N s)].
-        regulariser: rho of the QP; pulls all forces towards the largest one.
-        min_force: least force of a holding finger, as a fraction of `grip_force`.
-        friction: how far a finger may push aside from the normal, towards the object's centre, as
-            a friction coefficient; forces through the centre balance where normals do not. It
-            must stay well below the real one. 0: along the normal only.
-        length: torques are divided by it in the QP [m]; None: mean contact distance.
-        damping: of the least-squares inverse [m].
-        height_gain, centring_gain: pull the object back to where it was at the first call after
-            a reset, along the axis of rotation and across it [1/s].
-        tilt_gain: turns the object's axis back to where it was then [1/s].
-        closing_speed: fingers out of touch move towards the object at this speed [m/s].
-        max_joint_speed: set-points move at most this fast [rad/s].
-        max_lead: set-points stay this close to the measured joints [rad].
-        engine: "compiled" takes the compiled step (numba, extra `fast`; not for hands whose
-            fingers share joints, nor for a regulariser of zero), "plain" the numpy one; "auto"
-            takes the compiled one where it can be had. Both give the same numbers.
-    """
+    """Settings of `InGraspManipulation`; speeds are per second."""
 
     twist: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.4)
+    """Wanted object velocity (linear [m/s], angular [rad/s]), world frame; the thesis's Delta o
+    over the control period."""
     grip_force: float = 2.5
+    """Normal force of the finger that presses hardest [N]; scales the QP's result."""
     stability_gain: float = 0.025
+    """Set-point speed per force error (alpha of eq. dqstab) [m/(N s)]."""
     regulariser: float = 1e-3
+    """Rho of the QP; pulls all forces towards the largest one."""
     min_force: float = 0.15
+    """Least force of a holding finger, as a fraction of `grip_force`."""
     friction: float = 0.3
+    """How far a finger may push aside from the normal, towards the object's centre, as a friction
+    coefficient; forces through the centre balance where normals do not. It must stay well below
+    the real one. 0: along the normal only."""
     length: float | None = None
+    """Torques are divided by it in the QP [m]; None: mean contact distance."""
     damping: float = 0.005
+    """Of the least-squares inverse [m]."""
     height_gain: float = 1.0
+    """Pulls the object back, along the axis of rotation, to where it was at the first call after
+    a reset [1/s]."""
     centring_gain: float = 1.0
+    """Pulls it back across the axis [1/s]."""
     tilt_gain: float = 1.0
+    """Turns the object's axis back to where it was then [1/s]."""
     closing_speed: float = 0.03
+    """Fingers out of touch move towards the object at this speed [m/s]."""
     max_joint_speed: float = 2.0
+    """Set-points move at most this fast [rad/s]."""
     max_lead: float = 0.25
+    """Set-points stay this close to the measured joints [rad]."""
     engine: str = "auto"
+    """"compiled" takes the compiled step (numba, extra `fast`; not for hands whose fingers share
+    joints, nor for a regulariser of zero), "plain" the numpy one; "auto" takes the compiled one
+    where it can be had. Both give the same numbers."""
 
     def __post_init__(self) -> None:
         check_twist(self.twist)
@@ -96,8 +92,8 @@ class InGraspManipulationConfig:
         )
         return replace(plain, **changes)
 
-    def build(self, hand: HandModel, *, control_period: float = 0.05) -> InGraspManipulation:
-        """The controller for ``hand``."""
-        from dexctl.igm.controller import InGraspManipulation
-
-        return InGraspManipulation(hand, self, control_period=control_period)
+    def about(self, axis: object) -> InGraspManipulationConfig:
+        """The same with the rotation about ``axis`` ``(3,)``, of any length, at the same speed."""
+        speed = float(np.linalg.norm(self.twist[3:]))
+        x, y, z = (speed * part for part in unit_axis(axis))
+        return replace(self, twist=(*self.twist[:3], x, y, z))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from dexctl.igm.plain import PlainStep
 from dexctl.igm.regulation import Reference
 from dexctl.igm.step import StepInput, StepResult
 from dexctl.state import Bools, Floats, GraspState
+from dexctl.validation import with_changes
 
 _NO_ROWS = np.empty((0, 0))
 
@@ -62,6 +63,8 @@ class InGraspManipulation(Controller):
         hand: the hand.
         config: the settings; keyword arguments change single ones.
         control_period: [s].
+        axis: about which the object is to be turned, ``(3,)``, at the speed of the settings; None
+            keeps their axis.
 
     Raises:
         MissingExtra: the compiled engine is asked for by name, and numba is not installed.
@@ -74,10 +77,11 @@ class InGraspManipulation(Controller):
         config: InGraspManipulationConfig | None = None,
         *,
         control_period: float = 0.05,
+        axis: ArrayLike | None = None,
         **changes: Any,
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = replace(config or InGraspManipulationConfig(), **changes)
+        self.config = with_changes(config or InGraspManipulationConfig(), changes, axis)
         self._twist = np.array(self.config.twist, float)
         turn = np.linalg.norm(self._twist[3:])
         self.axis = self._twist[3:] / turn if turn > 0 else np.array([0.0, 0.0, 1.0])
@@ -107,6 +111,12 @@ class InGraspManipulation(Controller):
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self._reference.reset(mask)
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed(reference=self._reference.state_dict())
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        self._reference.load_state_dict(self._parts(saved, "reference")["reference"])
 
     def act(self, state: GraspState) -> Floats:
         return self.command(state, _ALL)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
 from dexctl.rotations import inverse, rotate
+from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats
 from dexctl.validation import check_mask
 
@@ -54,6 +58,27 @@ class Reference:
                 "reset() before the batch shape changes"
             )
         self._allocate(count)
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {"position": self.position, "carried_axis": self.carried_axis, "known": self.known}
+
+    def state_dict(self) -> dict[str, Any]:
+        """The references, to be given to `load_state_dict`."""
+        return copies(self._arrays())
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue with saved references.
+
+        Raises:
+            InvalidInput: they are none, or of another number of environments than there are now.
+        """
+        check_names("a reference", saved, self._arrays())
+        (count,) = batch_shape("a reference", saved, "known") or (0,)
+        if count:
+            self.meet(count)
+        self._allocate(count)
+        fill("a reference", self._arrays(), saved)
+        self.complete = bool(self.known.all())
 
     def learn(self, origin: Floats, quaternion: Floats) -> None:
         """Take the reference of the environments that have none; quaternions may be missing."""

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.report.style import FAINT, INK, controller_line, finger_colour, new_figure, title_of
+from dexctl.report.style import (
+    FAINT,
+    INK,
+    controller_line,
+    finger_colour,
+    legend_above,
+    new_figure,
+    title_of,
+)
 from dexctl.report.summary import FULL_TURN, column, diagnostic
 from dexctl.sim import Trace
 from dexctl.state import Bools
@@ -22,7 +30,6 @@ if TYPE_CHECKING:
 
 _CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "clip_on": False, "zorder": 5}  # where it dropped
 WIDTH = 7.6  # [inch]; every figure has it, so that time axes line up on the page
-LEGEND_LETTERS = 80  # of the labels that fit into one row
 
 
 def rotation_figure(traces: Mapping[str, Trace], index: int = 0) -> Figure:
@@ -42,7 +49,7 @@ def rotation_figure(traces: Mapping[str, Trace], index: int = 0) -> Figure:
     axes.set_xlim(0, max(trace.time[-1] for trace in traces.values()))
     turns = axes.secondary_yaxis("right", functions=(_to_turns, _to_radians))
     turns.set_ylabel("[turns]")
-    _legend_above(axes)
+    legend_above(axes)
     return figure
 
 
@@ -64,7 +71,7 @@ def spread_figure(name: str, trace: Trace) -> Figure:
     axes.margins(x=0)
     turns = axes.secondary_yaxis("right", functions=(_to_turns, _to_radians))
     turns.set_ylabel("[turns]")
-    _legend_above(axes)
+    legend_above(axes)
     return figure
 
 
@@ -167,24 +174,8 @@ def latency_figure(traces: Mapping[str, Trace], control_period: float) -> Figure
         ylim=(0, 101),
     )
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    _legend_above(axes)
+    legend_above(axes)
     return figure
-
-
-def _legend_above(axes: Axes) -> None:
-    """The legend above the axes, where it covers nothing: one row, or two where it is long."""
-    handles, labels = axes.get_legend_handles_labels()
-    fits = sum(map(len, labels)) <= LEGEND_LETTERS
-    axes.legend(
-        handles,
-        labels,
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        ncols=len(labels) if fits else (len(labels) + 1) // 2,
-        borderaxespad=0.2,
-        handlelength=2.4,
-        columnspacing=1.4,
-    )
 
 
 def _mark_drop(axes: Axes, trace: Trace, held: Bools) -> None:

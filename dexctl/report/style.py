@@ -14,9 +14,11 @@ from dexctl import controllers
 from dexctl.exceptions import MissingExtra, UnknownName
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INK, FAINT, GRID = "#1f2933", "#7b8794", "#d9dee3"
+_LEGEND_LETTERS = 80  # of the labels that fit into one row
 _FINGERS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#5b3fa0", "#8c8c8c")
 _CONTROLLERS = {
     "igm": ("#009e73", "-"),
@@ -92,6 +94,22 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height))
+
+
+def legend_above(axes: Axes) -> None:
+    """The legend above the axes, where it covers nothing: one row, or two where it is long."""
+    handles, labels = axes.get_legend_handles_labels()
+    fits = sum(map(len, labels)) <= _LEGEND_LETTERS
+    axes.legend(
+        handles,
+        labels,
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncols=len(labels) if fits else (len(labels) + 1) // 2,
+        borderaxespad=0.2,
+        handlelength=2.4,
+        columnspacing=1.4,
+    )
 
 
 def _matplotlib() -> Any:

@@ -54,6 +54,14 @@ def rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
     return numbers
 
 
+def unit(name: str, vectors: Floats) -> Floats:
+    """``(N, k)`` made exactly of length 1; they have to be so to 0.1 % already."""
+    norm = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if (np.abs(norm - 1) > 1e-3).any():
+        raise InvalidInput(f"{name} has norms {norm.ravel()[:4]}...; expected 1")
+    return vectors / norm
+
+
 def mask(value: ArrayLike | None, shape: tuple[int, ...]) -> Bools:
     """Booleans of the batch shape; None is all True."""
     if value is None:

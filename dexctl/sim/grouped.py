@@ -109,6 +109,14 @@ class GroupedSimulator:
         for group, rows in zip(self.groups, self.slices, strict=True):
             group.set_grasp(*(value[rows] for value in grasp), mask=chosen[rows])
 
+    def place_object(
+        self, position: ArrayLike, quaternion: ArrayLike, mask: ArrayLike | None = None
+    ) -> None:
+        """See `BatchSimulator.place_object`."""
+        chosen, pose = self._mask(mask), [self._rows(value) for value in (position, quaternion)]
+        for group, rows in zip(self.groups, self.slices, strict=True):
+            group.place_object(*(value[rows] for value in pose), mask=chosen[rows])
+
     def read(self) -> GraspState:
         """See `BatchSimulator.read`."""
         states = [group.read() for group in self.groups]

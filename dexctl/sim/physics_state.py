@@ -27,7 +27,8 @@ class PhysicsLayout:
         size: number of columns.
         q: the hand's joints, ``(d,)``.
         qpos, qvel: MuJoCo's generalised positions and velocities.
-        position, quaternion: the object's pose.
+        position, quaternion, pose: the object's, the last being both.
+        object_velocity: the object's, linear and angular.
         inputs: number of columns of ``INPUT``.
         push: the force on the object among them.
     """
@@ -41,6 +42,9 @@ class PhysicsLayout:
         pose = 1 + scene.object_qpos.start
         self.position = slice(pose, pose + 3)
         self.quaternion = slice(pose + 3, pose + 7)
+        self.pose = slice(pose, pose + 7)
+        velocity = self.qvel.start + scene.object_qvel.start
+        self.object_velocity = slice(velocity, velocity + 6)
         self.inputs = mujoco.mj_stateSize(model, INPUT)
         push = model.nu + 6 * model.body("object").id
         self.push = slice(push, push + 3)

@@ -173,17 +173,28 @@ class BatchSimulator:
         chosen, count, d = self._mask(mask), self._count, self.hand.nq
         qpos = np.tile(self.scene.settled.qpos, (count, 1))
         qpos[:, self.scene.qpos_columns] = self._rows("q", q, d)
-        quaternion = self._rows("object_quaternion", object_quaternion, 4)
-        norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
-        if (np.abs(norm - 1) > 1e-3).any():
-            raise InvalidInput(f"object_quaternion has norms {norm.ravel()[:4]}...; expected 1")
-        qpos[:, self.scene.object_qpos] = np.concatenate(
-            [self._rows("object_position", object_position, 3), quaternion / norm], axis=1
-        )
+        qpos[:, self.scene.object_qpos] = self._poses(object_position, object_quaternion)
         physics = self._layout.state(qpos)
         target = self._rows("q_target", q_target, d)
         sensordata = self._probe(physics, self._clip(target))
         self._place(chosen, physics[chosen], target[chosen], sensordata[chosen])
+
+    def place_object(
+        self, position: ArrayLike, quaternion: ArrayLike, mask: ArrayLike | None = None
+    ) -> None:
+        """Put objects somewhere at rest; hands, time and what was felt stay as they are.
+
+        Args:
+            position, quaternion, mask: as those of the object in `set_grasp`.
+        """
+        chosen, poses = self._mask(mask), self._poses(position, quaternion)
+        self._physics[chosen, self._layout.pose] = poses[chosen]
+        self._physics[chosen, self._layout.object_velocity] = 0.0
+        self._angular_velocity[chosen] = 0.0
+
+    def _poses(self, position: ArrayLike, quaternion: ArrayLike) -> Floats:
+        unit = checks.unit("object_quaternion", self._rows("object_quaternion", quaternion, 4))
+        return np.hstack([self._rows("object_position", position, 3), unit])
 
     def _probe(self, physics: Floats, q_target: Floats) -> Floats:
         """Contact readings ``(N, columns)`` in the states given: one physics step, thrown away."""

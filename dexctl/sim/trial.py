@@ -18,11 +18,12 @@ from numpy.typing import ArrayLike
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
 from dexctl.plant import Plant
-from dexctl.rotations import inverse, multiply, unit_axis
+from dexctl.rotations import inverse, multiply
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.simulation import Simulation
 from dexctl.sim.simulator import BatchSimulator
 from dexctl.state import Bools, Floats, GraspState
+from dexctl.validation import unit_axis
 
 DROP_DISTANCE = 0.05
 Simulator = BatchSimulator | GroupedSimulator
@@ -128,7 +129,7 @@ def run(
         UnknownName, InvalidInput: no such axis, or the controller's and the simulator's control
             periods differ.
     """
-    about = unit_axis(axis)
+    about = np.array(unit_axis(axis))
     if not np.isclose(controller.control_period, sim.control_period):
         raise InvalidInput(
             f"the controller's control_period is {controller.control_period} s and the simulator's "

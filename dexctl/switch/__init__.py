@@ -1,8 +1,9 @@
 """Contact switching: one finger lets go of the object and touches it again elsewhere."""
 
-from dexctl.switch.controller import ContactSwitch, ContactSwitchConfig
+from dexctl.switch.config import ContactSwitchConfig, GuardedSwitchConfig
+from dexctl.switch.controller import ContactSwitch
 from dexctl.switch.finger_ik import FingerIK, IKResult
-from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Phase
+from dexctl.switch.guarded import GuardedSwitch, Phase
 from dexctl.switch.planner import SwingPlan, SwingPlanner
 from dexctl.switch.profile import SwitchProfile
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,65 +13,14 @@ from dexctl.exceptions import InvalidInput
 from dexctl.grasp import is_force_closure
 from dexctl.hand import HandModel
 from dexctl.limits import SetPointLimits
+from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.streams import Streams
-from dexctl.switch.guarded import GuardedSwitch, GuardedSwitchConfig, Indices, Phase
+from dexctl.streams import LateStreams
+from dexctl.switch.config import ContactSwitchConfig
+from dexctl.switch.guarded import GuardedSwitch, Indices, Phase
 from dexctl.switch.landing import landing_at, split, turned, unit_across
 from dexctl.switch.profile import SwitchProfile, random_contact
-from dexctl.validation import check_axis, check_kind, check_mask, check_numbers
-
-KINDS = ("profile", "guarded")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactSwitchConfig:
-    """Settings of `ContactSwitch`.
-
-    Attributes:
-        kind: "profile" is the thesis's fixed trajectory of joint speeds; "guarded" unloads,
-            lifts, places and loads in Cartesian space, and only where the others can hold.
-        axis: of the object's rotation; fingers are moved against it.
-        duration, speed: of the profile [s], [rad/s] (see `SwitchProfile`).
-        switch: of the guarded switch.
-        swing: how far a guarded switch carries a finger about the axis [rad].
-        pause: between two guarded switches [s].
-        friction: assumed by the force-closure guard.
-        hold_force: normal force to which a placed finger is loaded [N].
-        stability_gain: set-point speed per force error while loading [m/(N s)].
-        max_joint_speed: guarded set-points move at most this fast [rad/s].
-        max_lead: guarded set-points stay this close to the measured joints [rad].
-    """
-
-    kind: str = "profile"
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    duration: float = 1.0
-    speed: tuple[float, float] = (0.1, 0.4)
-    switch: GuardedSwitchConfig = field(default_factory=GuardedSwitchConfig)
-    swing: float = 0.4
-    pause: float = 0.5
-    friction: float = 0.8
-    hold_force: float = 1.5
-    stability_gain: float = 0.025
-    max_joint_speed: float = 2.0
-    max_lead: float = 0.25
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InvalidInput(f"kind is {self.kind!r}; expected one of {', '.join(KINDS)}")
-        check_numbers(
-            self,
-            positive=(
-                "duration",
-                "friction",
-                "hold_force",
-                "stability_gain",
-                "max_joint_speed",
-                "max_lead",
-            ),
-            not_negative=("swing", "pause"),
-        )
-        check_kind(self, switch=GuardedSwitchConfig)
-        check_axis(self.axis)
+from dexctl.validation import check_mask, unit_axis, with_changes
 
 
 class ContactSwitch(Controller):
@@ -83,6 +32,8 @@ class ContactSwitch(Controller):
         hand: the hand.
         config: the settings; keyword arguments change single ones.
         control_period: [s].
+        axis: about which the object is to be turned, ``(3,)``, at the speed of the settings; None
+            keeps their axis.
     """
 
     def __init__(
@@ -91,20 +42,27 @@ class ContactSwitch(Controller):
         config: ContactSwitchConfig | None = None,
         *,
         control_period: float = 0.05,
+        axis: ArrayLike | None = None,
         **changes: Any,
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = config = replace(config or ContactSwitchConfig(), **changes)
-        axis = np.array(config.axis, float)
-        axis /= np.linalg.norm(axis)
+        self.config = config = with_changes(config or ContactSwitchConfig(), changes, axis)
+        turning = np.array(unit_axis(config.axis))
         self._part: _Profile | _Guarded
         if config.kind == "profile":
-            self._part = _Profile(hand, config, axis, control_period)
+            self._part = _Profile(hand, config, turning, control_period)
         else:
-            self._part = _Guarded(hand, config, axis, control_period)
+            self._part = _Guarded(hand, config, turning, control_period)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self._part.reset(seed, mask)
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed(**{self.config.kind: self._part.state_dict()})
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        kind = self.config.kind
+        self._part.load_state_dict(self._parts(saved, kind)[kind])
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
@@ -125,6 +83,8 @@ class _Profile:
             control_period=control_period,
         )
         self.reset = self._profile.reset
+        self.state_dict = self._profile.state_dict
+        self.load_state_dict = self._profile.load_state_dict
 
     def act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
         self._profile.begin(state)
@@ -142,22 +102,50 @@ class _Guarded:
         self._dt = control_period
         self._switch = GuardedSwitch(hand, axis, config.switch, control_period)
         self._limits = SetPointLimits(hand, config.max_joint_speed, config.max_lead, control_period)
-        self._seed: ArrayLike = 0
-        self._streams: Streams | None = None
+        self._streams = LateStreams()
+        self._wait = np.zeros(0)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
-        if mask is None or self._streams is None:
-            self._seed = self._seed if seed is None else seed
-            if seed is not None or self._streams is None:
-                self._streams = None
-            self._wait = np.zeros(0)
-            self._switch.start(0)
+        if mask is None:
+            self._streams.reset(seed)
+            self._allocate(0)
             return
+        if not len(self._wait):
+            self._allocate(np.size(mask))
         chosen = check_mask(mask, self._wait.shape)
         self._switch.clear(chosen)
         self._wait[chosen] = 0.0
-        if seed is not None:
-            self._streams.reseed(seed, chosen)
+        self._streams.reset(seed, chosen)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            **copies({"wait": self._wait}),
+            "switch": self._switch.state_dict(),
+            "streams": self._streams.state_dict(),
+        }
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        check_names("guarded switching", saved, ("wait", "switch", "streams"))
+        (count,) = batch_shape("guarded switching", saved, "wait") or (0,)
+        self._meet(count)
+        fill("guarded switching", {"wait": self._wait}, saved)
+        self._switch.load_state_dict(saved["switch"])
+        self._streams.load_state_dict(saved["streams"])
+
+    def _allocate(self, count: int) -> None:
+        self._switch.start(count)
+        self._wait = np.zeros(count)
+
+    def _meet(self, count: int) -> None:
+        """Make room for N hands, unless others are switching."""
+        if len(self._wait) == count:
+            return
+        if self._switch.phase.any():
+            raise InvalidInput(
+                f"{len(self._wait)} hands are switching and the state has {count}; "
+                "call reset() before the batch shape changes"
+            )
+        self._allocate(count)
 
     def act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
         if state.batch_shape:
@@ -166,17 +154,7 @@ class _Guarded:
         return action[0], {name: value[0] for name, value in diagnostics.items()}
 
     def _act(self, state: GraspState) -> tuple[Floats, dict[str, Any]]:
-        count = len(state.q)
-        if self._streams is None or len(self._switch.phase) != count:
-            if self._switch.phase.any():
-                raise InvalidInput(
-                    f"{len(self._switch.phase)} hands are switching and the state has {count}; "
-                    "call reset() before the batch shape changes"
-                )
-            if self._streams is None or self._streams.batch_shape != (count,):
-                self._streams = Streams(self._seed, (count,))
-            self._switch.start(count)
-            self._wait = np.zeros(count)
+        self._meet(len(state.q))
         now = self._hand.configuration(state.q)
         tip = now.fingertip_position
         origin = state.object_centre()
@@ -194,11 +172,10 @@ class _Guarded:
         }
 
     def _begin(self, state: GraspState, tip: Floats, origin: Floats) -> None:
-        assert self._streams is not None
         busy = self._switch.phase != Phase.IDLE
         self._wait = np.where(busy, self._config.pause, self._wait - self._dt)
         ready = ~busy & (self._wait <= 0.5 * self._dt) & (state.in_contact.sum(axis=1) >= 4)
-        draw = self._streams.uniform((), ready)
+        draw = self._streams.of(ready.shape).uniform((), ready)
         if not ready.any():
             return
         finger = np.where(ready, random_contact(state.in_contact, draw), 0)

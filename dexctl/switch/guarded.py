@@ -7,23 +7,22 @@ object's shape but the planes that were touched.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.configuration import HandConfiguration
-from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
+from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
+from dexctl.switch.config import GuardedSwitchConfig
 from dexctl.switch.landing import Landing, round_the_axis, unit_across
 from dexctl.switch.paths import JointPath, SwingPaths
-from dexctl.validation import check_numbers
 
 Indices = NDArray[np.intp]
-PATHS = ("jacobian", "planned")
 
 
 class Phase(IntEnum):
@@ -35,68 +34,6 @@ class Phase(IntEnum):
     CARRY = 3
     PLACE = 4
     LOAD = 5
-
-
-@dataclass(frozen=True, kw_only=True)
-class GuardedSwitchConfig:
-    """Settings of `GuardedSwitch`; speeds are per second.
-
-    Attributes:
-        path: "jacobian" follows the path with the finger's Jacobian; "planned" optimises the
-            swing first (`SwingPlanner`) and falls back where no plan is feasible.
-        unload_time: over which the finger's share of the grip goes to zero [s].
-        yield_rate: at which an unloading finger's set-point goes back to the finger [1/s].
-        unloaded_force: normal force below which the finger may lift [N].
-        clearance: distance of the tip from the touched surface while it is carried [m].
-        lift_speed, carry_speed, place_speed: of the fingertip [m/s].
-        place_depth: how far beyond the expected surface to look for touch [m].
-        touch_force: normal force that counts as touch while placing [N].
-        load_time: over which the finger's share of the grip comes back [s].
-        time_limit: a phase that takes longer gives up [s]; see `GuardedSwitch`.
-        far_distance: a tip that has to go further than this is carried along joint angles from
-            inverse kinematics (`FingerIK`) instead of the Jacobian [m].
-        damping: of the finger's damped least-squares inverse [m].
-    """
-
-    path: str = "jacobian"
-    unload_time: float = 0.3
-    yield_rate: float = 10.0
-    unloaded_force: float = 0.2
-    clearance: float = 0.018
-    lift_speed: float = 0.15
-    carry_speed: float = 0.2
-    place_speed: float = 0.06
-    place_depth: float = 0.03
-    touch_force: float = 0.05
-    load_time: float = 0.2
-    time_limit: float = 2.0
-    far_distance: float = 0.12
-    damping: float = 0.01
-
-    def __post_init__(self) -> None:
-        if self.path not in PATHS:
-            raise InvalidInput(f"path is {self.path!r}; expected one of {', '.join(PATHS)}")
-        check_numbers(
-            self,
-            positive=(
-                "unload_time",
-                "yield_rate",
-                "clearance",
-                "lift_speed",
-                "carry_speed",
-                "place_speed",
-                "load_time",
-                "time_limit",
-                "far_distance",
-                "damping",
-            ),
-            not_negative=("unloaded_force", "place_depth", "touch_force"),
-        )
-        if self.time_limit <= self.unload_time:
-            raise InvalidInput(
-                f"time_limit is {self.time_limit} s; expected more than unload_time, "
-                f"{self.unload_time} s, or no finger ever lifts"
-            )
 
 
 class GuardedSwitch:
@@ -136,10 +73,40 @@ class GuardedSwitch:
         self.clock = np.zeros(count)
         self._outward = np.zeros((count, 3))
         self._lift_tip = np.zeros((count, 3))
-        self._radius = np.zeros(count)
         self._landing = Landing(np.zeros((count, 3)), np.zeros((count, 3)))
         self._anchor = np.zeros((count, 3))
         self._paths: dict[int, JointPath] = {}
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {
+            "phase": self.phase,
+            "finger": self.finger,
+            "clock": self.clock,
+            "outward": self._outward,
+            "lift_tip": self._lift_tip,
+            "landing_tip": self._landing.tip,
+            "landing_normal": self._landing.normal,
+            "anchor": self._anchor,
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the switches under way, to be given to `load_state_dict`."""
+        paths = {str(row): copies(path._asdict()) for row, path in self._paths.items()}
+        return {**copies(self._arrays()), "paths": paths}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue with saved switches, of as many hands as they are of.
+
+        Raises:
+            InvalidInput: they are none.
+        """
+        check_names("a guarded switch", saved, (*self._arrays(), "paths"))
+        (count,) = batch_shape("a guarded switch", saved, "phase") or (0,)
+        self.start(count)
+        fill("a guarded switch", self._arrays(), saved)
+        for row, path in saved["paths"].items():
+            parts = check_names("a path", path, JointPath._fields)
+            self._paths[int(row)] = JointPath(**copies(parts))
 
     def clear(self, mask: Bools) -> None:
         """Idle again in the hands in ``mask``."""

@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
+from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.streams import Streams, StreamsState
+from dexctl.streams import LateStreams
 from dexctl.switch.chain import check_vector, joint_roles
 from dexctl.validation import check_mask
 
 Indices = NDArray[np.intp]
-
-
-class SwitchProfileState(NamedTuple):
-    """What `SwitchProfile.save` gives: all that decides the switches to come.
-
-    Attributes:
-        finger: the finger that is switching, ``(...)``; -1 where none is.
-        step: how many set-point changes it has made, ``(...)``.
-        velocity: signed speeds of the middle and the roll joint, ``(..., 2)`` [rad/s].
-        streams: the random streams.
-    """
-
-    finger: Indices
-    step: Indices
-    velocity: Floats
-    streams: StreamsState
 
 
 class SwitchProfile:
@@ -99,8 +85,7 @@ class SwitchProfile:
         self.roll_direction = roll_direction
         self.control_period = float(control_period)
         self._roles = joint_roles(hand)
-        self._seed: ArrayLike = 0
-        self._streams: Streams | None = None
+        self._streams = LateStreams()
         self._allocate(())
 
     @property
@@ -133,15 +118,13 @@ class SwitchProfile:
                 another batch shape.
         """
         if mask is None:
-            if seed is not None:
-                self._seed, self._streams = seed, None
+            self._streams.reset(seed)
             self._finger[...] = -1
             return
         chosen = check_mask(mask, np.shape(mask))
         self._match(chosen.shape)
         self._finger[chosen] = -1
-        if seed is not None:
-            self._random().reseed(seed, chosen)
+        self._streams.reset(seed, chosen)
 
     def begin(
         self, state: GraspState, finger: ArrayLike | None = None, mask: ArrayLike | None = None
@@ -165,7 +148,7 @@ class SwitchProfile:
         self._match(state.batch_shape)
         may = ~self.active if mask is None else ~self.active & np.asarray(mask, bool)
         may &= state.in_contact.any(axis=-1)
-        draw = self._random().uniform((3,), may)
+        draw = self._streams.of(state.batch_shape).uniform((3,), may)
         chosen = random_contact(state.in_contact, draw[..., 0]) if finger is None else finger
         chosen = np.broadcast_to(np.asarray(chosen), state.batch_shape)
         if chosen.dtype.kind not in "iu" or np.any((chosen < -1) | (chosen >= self.hand.n_fingers)):
@@ -205,18 +188,25 @@ class SwitchProfile:
         self._finger[self._step >= self.steps] = -1
         return action
 
-    def save(self) -> SwitchProfileState:
-        """All that decides the switches to come, to be given to `restore`."""
-        return SwitchProfileState(
-            self._finger.copy(), self._step.copy(), self._velocity.copy(), self._random().save()
-        )
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {"finger": self._finger, "step": self._step, "velocity": self._velocity}
 
-    def restore(self, saved: SwitchProfileState) -> None:
-        """Continue from a saved state."""
-        self._allocate(saved.finger.shape)
-        self._finger[...], self._step[...] = saved.finger, saved.step
-        self._velocity[...] = saved.velocity
-        self._random().restore(saved.streams)
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the switches to come, to be given to `load_state_dict`."""
+        return {**copies(self._arrays()), "streams": self._streams.state_dict()}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue with saved switches.
+
+        Raises:
+            InvalidInput: they are none, or of another batch shape than those under way.
+        """
+        check_names("a switching profile", saved, (*self._arrays(), "streams"))
+        shape = batch_shape("a switching profile", saved, "finger")
+        self._match(shape)
+        self._allocate(shape)
+        fill("a switching profile", self._arrays(), saved)
+        self._streams.load_state_dict(saved["streams"])
 
     def _shape(self, time: ArrayLike) -> Floats:
         """How far (middle, roll) have gone at ``time``, at unit speed, ``(..., 2)`` [s]."""
@@ -258,12 +248,6 @@ class SwitchProfile:
         self._finger: Indices = np.full(batch_shape, -1, np.intp)
         self._step: Indices = np.zeros(batch_shape, np.intp)
         self._velocity: Floats = np.zeros((*batch_shape, 2))
-
-    def _random(self) -> Streams:
-        """The streams of the present batch shape; a new shape starts them anew."""
-        if self._streams is None or self._streams.batch_shape != self._finger.shape:
-            self._streams = Streams(self._seed, self._finger.shape)
-        return self._streams
 
 
 def random_contact(in_contact: Bools, draw: Floats) -> Indices:

@@ -15,9 +15,10 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.table import Table
 
 from dexctl import HandModel
-from dexctl.cli.output import notes, print_json, results
+from dexctl.cli.output import notes, print_json, results, table
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from hardware import registers
@@ -106,11 +107,11 @@ class Calibrate(HandOptions):
     """
 
     out: Path = Path("calibration.toml")
-    """The file."""
+    """The file to write."""
     torque_constant: float = TORQUE_CONSTANT
     """Torque per current of the servos [N m/A]; the default is from the data sheet."""
     seed: int = 0
-    """Of the emulated signs and zeros."""
+    """Seed of the emulated signs and zeros."""
     json: bool = False
     """Print one JSON object instead of the summary."""
 
@@ -129,19 +130,7 @@ class Calibrate(HandOptions):
         if self.json:
             print_json({"command": "calibrate", "file": str(self.out), "problems": odd})
         else:
-            for name, servo, sign, zero, lower, upper in zip(
-                found.joint_names,
-                found.servo,
-                found.sign,
-                found.zero,
-                found.lower,
-                found.upper,
-                strict=True,
-            ):
-                results().print(
-                    f"{name:<14} servo {servo:<3} sign {sign:+d}  zero {zero:.3f}  "
-                    f"range {lower:.3f} to {upper:.3f} rad"
-                )
+            results().print(_table(found))
             results().print(f"written: {self.out}; torque off")
         for problem in odd:
             notes().print(f"problem: {problem}")
@@ -156,6 +145,15 @@ class Calibrate(HandOptions):
         with Bus(self.find_port(), ids, baudrate=self.baudrate) as bus:
             _release(bus)
             yield _RealPerson(model, bus)
+
+
+def _table(found: Calibration) -> Table:
+    numbers = ("servo", "sign", "zero", "lower", "upper [rad]")
+    rows = table("joint", *numbers, right=numbers)
+    for i, name in enumerate(found.joint_names):
+        angles = (f"{angles[i]:.3f}" for angles in (found.zero, found.lower, found.upper))
+        rows.add_row(name, str(found.servo[i]), f"{found.sign[i]:+d}", *angles)
+    return rows
 
 
 def _release(bus: Bus) -> None:

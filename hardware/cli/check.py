@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dexctl.cli.output import notes, print_json, results, to_json
+from dexctl.cli.output import notes, print_json, results, table, to_json
 from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput
 from dexctl.files import write_text
@@ -19,8 +19,8 @@ from hardware.bus import Bus
 from hardware.cli.options import HandOptions
 from hardware.exceptions import ServoError
 from hardware.hand import ServoHand
-from hardware.machine import Torque
 from hardware.registers import MODEL_NUMBER, describe_hardware_error
+from hardware.state_machine import Torque
 from hardware.ticker import Interrupts, spread
 
 _CYCLES = 200
@@ -59,7 +59,7 @@ class Check(HandOptions):
             look.at_servos(session.bus)
             if not look.silent:
                 look.at_settings()
-                look.at_latency(session.bus)
+                look.at_cycle(session.bus)
                 if self.move and not look.problems:
                     look.at_motion()
         if folder is not None:
@@ -79,7 +79,7 @@ class _Look:
     rows: list[dict[str, Any]] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     silent: list[int] = field(default_factory=list)
-    latency: dict[str, float] = field(default_factory=dict)
+    cycle: dict[str, float] = field(default_factory=dict)
     fast: bool | None = None
     moved: list[dict[str, Any]] = field(default_factory=list)
     torque: str = ""
@@ -152,7 +152,7 @@ class _Look:
             row |= {name: float(values[i]) for name, values in columns.items()}
             row["torque_limit_nm"] = row["current_limit_a"] * float(constant[i])
 
-    def at_latency(self, bus: Bus) -> None:
+    def at_cycle(self, bus: Bus) -> None:
         """Time of reading currents, velocities and positions of all servos and writing goals."""
         if self.problems:
             return
@@ -169,9 +169,9 @@ class _Look:
             bus.read_many(wanted, ids)
             bus.write(registers.GOAL_POSITION, goal, ids)  # torque is off: nothing moves
             times.append(time.perf_counter() - start)
-        self.latency, self.fast = spread(times), bus.fast
-        if self.latency["p50"] > _SLOW:
-            self.problems.append(f"{1e3 * self.latency['p50']:.1f} ms a cycle: {_HINT}")
+        self.cycle, self.fast = spread(times), bus.fast
+        if self.cycle["p50"] > _SLOW:
+            self.problems.append(f"{1e3 * self.cycle['p50']:.1f} ms a cycle: {_HINT}")
 
     def at_motion(self) -> None:
         """Move one joint at a time, and see which one moves."""
@@ -230,7 +230,7 @@ class _Look:
         return ""
 
     def _go(self, goal: Floats) -> None:
-        end = time.monotonic() + _MOVE / self.hand.limits.speed + _MOVE_SECONDS
+        end = time.monotonic() + _MOVE / self.hand.limits.speed_limit + _MOVE_SECONDS
         while time.monotonic() < end:
             self.hand.sample()
             self.hand.write(goal)
@@ -243,7 +243,7 @@ class _Look:
             "port": self.hand.bus.port,
             "latency_timer_s": self.hand.bus.latency_timer,
             "servos": self.rows,
-            "cycle_s": self.latency,
+            "cycle_s": self.cycle,
             "fast_sync_read": self.fast,
             "moved": self.moved,
             "torque": self.torque,
@@ -252,31 +252,14 @@ class _Look:
 
     def print(self) -> None:
         """As a table."""
-        from rich.table import Table
-
         console = results()
         timer = self.hand.bus.latency_timer
         known = "" if timer is None else f", latency timer {1e3 * timer:.0f} ms"
         console.print(f"port {self.hand.bus.port}{known}", soft_wrap=True)
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        headings = (
-            "servo",
-            "joint",
-            "model",
-            "fw",
-            "V",
-            "C",
-            "rad",
-            "mode",
-            "N m",
-            "C max",
-            "error",
-        )
-        for heading in headings:
-            side = "left" if heading in ("joint", "error") else "right"
-            table.add_column(heading, justify=side, no_wrap=heading != "error")
+        numbers = ("model", "fw", "V", "C", "rad", "mode", "N m", "C max")
+        rows = table("servo", "joint", *numbers, "error", right=("servo", *numbers))
         for row in self.rows:
-            table.add_row(
+            rows.add_row(
                 str(row["servo"]),
                 row["joint"],
                 str(row.get("model", "silent")),
@@ -289,11 +272,11 @@ class _Look:
                 f"{row['temperature_limit_c']:.0f}" if "mode" in row else "",
                 row.get("error", ""),
             )
-        console.print(table)
-        if self.latency:
+        console.print(rows)
+        if self.cycle:
             console.print(
-                f"read and write of all: {1e3 * self.latency['p50']:.2f} ms median, "
-                f"{1e3 * self.latency['p99']:.2f} ms p99 (fast sync read: "
+                f"read and write of all: {1e3 * self.cycle['p50']:.2f} ms median, "
+                f"{1e3 * self.cycle['p99']:.2f} ms p99 (fast sync read: "
                 f"{'yes' if self.fast else 'no'})"
             )
         for moved in self.moved:

@@ -13,9 +13,9 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.files import write_text
 from dexctl.state import Floats
 from hardware.cli.options import HandOptions, busy
-from hardware.machine import State
 from hardware.motions import StepAndChirp, lag
 from hardware.runner import Runner
+from hardware.state_machine import State
 
 _MOVED = 0.003  # two ticks of the servo: a joint that is this far has begun to move [rad]
 

@@ -13,15 +13,17 @@ import numpy as np
 
 from dexctl import HandModel, hands
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.limits import REAL_SPEED, REAL_TORQUE
 from dexctl.state import Floats
 from hardware.bus import Bus
 from hardware.calibration import Calibration
 from hardware.emulated_touch import EmulatedTactile
 from hardware.emulator import Emulator
+from hardware.emulator.dynamics import LONGEST_LATENCY
 from hardware.hand import ServoHand
 from hardware.limits import Limits
-from hardware.machine import Event
 from hardware.run_report import RunReport
+from hardware.state_machine import Event
 from hardware.tactile import SerialTactile, TactileSource
 from hardware.units import ServoGains, SimGains, to_servo
 
@@ -59,19 +61,19 @@ class HandOptions:
     hand: str = "dex5"
     """Name of the hand (`dexctl hands` lists them)."""
     port: str | None = None
-    """Serial port of the servos; found by itself where there is only one."""
+    """Serial port of the servos; none: the only one there is."""
     emulate: bool = False
     """Run against emulated servos instead of a hand."""
     calibration: Path | None = None
-    """File that `dexctl hardware calibrate` wrote; default servos 1 to d, straight."""
+    """File that `dexctl hardware calibrate` wrote; none: servos 1 to d, mounted straight."""
     baudrate: int = 4_000_000
-    """Of the servos [bit/s]."""
+    """Speed of the bus [bit/s]."""
     stiffness: float = 3.0
-    """Of the servos' position loop [N m/rad], by the conversion of `hardware.units`."""
+    """Stiffness of the servos' position loop [N m/rad], by the conversion of `hardware.units`."""
     damping: float = 0.15
-    """Of the same [N m s/rad]."""
-    latency: float = 0.0
-    """Of emulated servos, from a set-point to its effect [s]; the thesis's hand has about 0.05."""
+    """Damping of the servos' position loop [N m s/rad]."""
+    action_latency: float = 0.0
+    """Time from a set-point to its effect in emulated servos [s]; the thesis's hand has 0.05."""
     patience: float = 1.0
     """Allow so many times more silence, age and overruns, 1 to 10: to emulate on a busy machine."""
 
@@ -84,39 +86,32 @@ class HandOptions:
         hands.entry(self.hand)
         if self.emulate and self.port is not None:
             raise InvalidInput(f"--emulate and --port {self.port} are given; expected one of them")
-        if not 0 <= self.latency <= 1:
-            raise InvalidInput(f"--latency is {self.latency}; expected 0 to 1 s")
-        if self.latency and not self.emulate:
+        if not 0 <= self.action_latency <= LONGEST_LATENCY:
             raise InvalidInput(
-                f"--latency {self.latency} is of emulated servos; expected --emulate"
+                f"--action-latency is {self.action_latency}; expected 0 to {LONGEST_LATENCY:g} s"
+            )
+        if self.action_latency and not self.emulate:
+            raise InvalidInput(
+                f"--action-latency {self.action_latency} is of emulated servos; expected --emulate"
             )
         if self.calibration is not None:
             Calibration.load(self.calibration)
         self.gains(self.limits())
 
-    def limits(self, speed: float = 0.6, torque: float = 0.5) -> Limits:
-        """Limits with these and the patience asked for.
+    def limits(self, speed_limit: float = REAL_SPEED, torque_limit: float = REAL_TORQUE) -> Limits:
+        """Limits with these [rad/s], [N m] and the patience asked for.
 
         Raises:
             InvalidInput: out of range.
         """
-        factor = self.patience
-        if not 1.0 <= factor <= 10.0:
-            raise InvalidInput(f"--patience is {factor}; expected 1 to 10")
-        usual = Limits()
-        warn, hold = usual.overruns
-        return Limits(
-            speed=speed,
-            torque=torque,
-            command_age=factor * usual.command_age,
-            state_age=factor * usual.state_age,
-            watchdog=factor * usual.watchdog,
-            overruns=(min(factor * warn, 1.0), min(factor * hold, 1.0)),
-        )
+        limits = Limits(speed_limit=speed_limit, torque_limit=torque_limit)
+        return limits.patient(self.patience)
 
     def gains(self, limits: Limits) -> ServoGains:
         """Register values of stiffness and damping."""
-        return to_servo(SimGains(self.stiffness, self.damping, limits.torque, limits.speed))
+        return to_servo(
+            SimGains(self.stiffness, self.damping, limits.torque_limit, limits.speed_limit)
+        )
 
     def load(self) -> tuple[HandModel, Calibration]:
         """The hand and how its joints lie on the servos."""
@@ -166,7 +161,7 @@ class HandOptions:
             emulator, source = None, None
             if self.emulate:
                 emulator = stack.enter_context(
-                    emulate(self.hand, calibration, dynamics, object, gravity, self.latency)
+                    emulate(self.hand, calibration, dynamics, object, gravity, self.action_latency)
                 )
                 source = EmulatedTactile(emulator) if dynamics == "mujoco" else None
             elif tactile is not None:
@@ -194,7 +189,7 @@ def emulate(
     dynamics: str,
     object: str,  # noqa: A002 (the field's name for it)
     gravity: str,
-    latency: float = 0.0,
+    action_latency: float = 0.0,
 ) -> Emulator:
     """Emulated servos that are mounted as ``calibration`` says."""
     zeros = np.round(calibration.zero / (2 * np.pi / 4096)).astype(int) % 4096
@@ -209,7 +204,7 @@ def emulate(
         hand=hand,
         object=object,
         gravity=gravity,
-        latency=latency,
+        action_latency=action_latency,
     )
 
 

@@ -16,6 +16,7 @@ from dexctl.state import Floats
 from hardware import report
 from hardware.cli.options import HandOptions, busy
 from hardware.cli.run import about, finish
+from hardware.figures import figures_of_merit
 from hardware.log import Log, LogWriter, read_log
 from hardware.motions import Replay
 from hardware.runner import Runner
@@ -28,7 +29,7 @@ class ReplayLog(HandOptions):
     The object is not part of it: the emulated hand is empty.
     """
 
-    log: Annotated[Path, tyro.conf.Positional]
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The MCAP file of a run."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html of the replay."""
@@ -36,7 +37,7 @@ class ReplayLog(HandOptions):
     """Print one JSON object instead of the summary."""
 
     def run(self) -> int:
-        self.emulate = self.port is None
+        self.emulate = self.emulate or self.port is None
         self.check()
         log = read_log(self.log)
         period, q_target = rows_of(log)
@@ -45,7 +46,8 @@ class ReplayLog(HandOptions):
         target = folder / "run.mcap"
         if target.exists() and self.log.exists() and target.samefile(self.log):
             raise InvalidInput(f"--out is the folder of {self.log} itself; expected another one")
-        limits = self.limits(log.run["limits"]["speed"], log.run["limits"]["torque"])
+        was = log.run["limits"]
+        limits = self.limits(was["speed_limit"], was["torque_limit"])
         replay = Replay(model, q_target, control_period=period)
         with self.open(limits, period) as session, LogWriter(target) as writer:
             writer.write("/run", about(self, f"replay of {self.log.name}", calibration, limits))
@@ -63,7 +65,7 @@ class ReplayLog(HandOptions):
         code = finish(found, folder, as_json=self.json)
         again = read_log(target)
         if not self.json and "q" in again.ticks:
-            results().print(f"  joints against the log   {compare(log, again):.4g} rad RMS")
+            results().print(f"joints against those of the log: {compare(log, again):.4g} rad RMS")
         return code
 
 
@@ -94,7 +96,7 @@ def compare(first: Log, second: Log) -> float:
 class Report:
     """Make the report of a log, one that was cut off included."""
 
-    log: Annotated[Path, tyro.conf.Positional]
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The MCAP file of a run."""
     out: Path | None = None
     """The HTML file; default report.html beside the log."""
@@ -116,7 +118,7 @@ class Report:
                     "report": str(path),
                     "cut": log.cut,
                     "summary": log.summary,
-                    "figures": report.figures_of_merit(log),
+                    "figures": figures_of_merit(log),
                 }
             )
         else:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,18 +13,20 @@ import numpy as np
 import tyro
 
 from dexctl import Controller, HandModel, controllers
-from dexctl.cli.output import notes, print_json, results
+from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import check_seconds, make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.limits import REAL_SPEED, REAL_TORQUE
 from hardware import report
 from hardware.calibration import Calibration
 from hardware.cli.options import HandOptions, Session, busy
+from hardware.figures import figures_of_merit, in_words
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
-from hardware.machine import Event, State
 from hardware.motions import Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
+from hardware.state_machine import Event, State
 
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
 _BLIND = ("hold", "sine")  # controllers that do not go by touch
@@ -41,24 +42,24 @@ class Run(HandOptions):
     and takes the torque off; a second one takes it off at once.
     """
 
-    controller: Annotated[str, tyro.conf.Positional]
-    """igm, switch, gait, coordinated, learned, hold, sine; a policy file; or module:function."""
+    controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER")]
+    """igm, switch, gait, coordinated, hold, sine; a policy's name, file or run; module:function."""
     seconds: float = 30.0
     """How long the controller runs [s]."""
     rate: float | None = None
-    """Control rate [Hz]; default 50, and what it was trained at for a learned policy."""
+    """Control rate [Hz]; none: 50, or the rate that a learned policy was trained at."""
     object: str = "auto"
     """What is held: cube, cylinder, sphere...; none; auto: cylinder, or none for sine."""
     gravity: str = "up"
     """Which way the palm looks: up or down."""
     tactile: str | None = None
-    """Serial port of the tactile fingertips."""
-    speed: float = 0.6
-    """Speed limit of the joints [rad/s]."""
-    torque: float = 0.5
-    """Torque limit of the joints [N m]."""
+    """Serial port of the tactile fingertips; emulated ones need none."""
+    speed_limit: float = REAL_SPEED
+    """Fastest set-point of a joint [rad/s], at most 3."""
+    torque_limit: float = REAL_TORQUE
+    """Largest torque of a joint [N m], at most 3."""
     seed: int = 0
-    """Of the controller."""
+    """Seed of the controller's random numbers."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html."""
     json: bool = False
@@ -72,7 +73,7 @@ class Run(HandOptions):
         check_seconds(self.seconds, PERIOD if asked is None else 1.0 / asked)
         if self.gravity not in ("up", "down"):
             raise UnknownName("palm direction", self.gravity, ("up", "down"))
-        limits = self.limits(self.speed, self.torque)
+        limits = self.limits(self.speed_limit, self.torque_limit)
         blind = self.controller in _BLIND
         held = self.object
         if held == "auto":
@@ -144,6 +145,7 @@ def about(
         "calibration_date": calibration.date.isoformat(),
         "stiffness_nm_per_rad": options.stiffness,
         "damping_nms_per_rad": options.damping,
+        "action_latency_s": options.action_latency,
         "limits": asdict(limits),
         "machine": machine(),
     }
@@ -153,47 +155,28 @@ def make_controller(name: str, model: HandModel, rate: float | None = None) -> C
     """The controller ``name``, and with it the rate of the run.
 
     Args:
-        name: one of `dexctl.controllers.names` or "sine"; a policy file (``.npz``); or
-            ``module:function``, which is called as ``function(hand, control_period=...)``.
+        name: what `dexctl.controllers.resolve` takes, or "sine".
         model: the hand.
         rate: [Hz]; None is 50, and for a controller that was made for another rate, that one.
 
     Raises:
         UnknownName: no such controller.
-        InvalidInput: no such file, module or function, it makes something else than a controller,
-            or one for another rate.
+        InvalidInput: it cannot be made, or not for this rate.
     """
-    made = _made(name, model, None if rate is None else 1.0 / rate)
+    if name == "sine":
+        return Sine(model, control_period=PERIOD if rate is None else 1.0 / rate)
+    period = _usual_period(name) if rate is None else 1.0 / rate
+    made = controllers.resolve(name, model, control_period=period)
     if rate is not None and not np.isclose(made.control_period * rate, 1.0):
         raise InvalidInput(f"--rate is {rate:g}; {name} runs at {1.0 / made.control_period:g} Hz")
     return made
 
 
-def _made(name: str, model: HandModel, period: float | None) -> Controller:
-    usual = PERIOD if period is None else period
-    if name == "learned" or name.endswith(".npz"):
-        if "learned" not in controllers.names():
-            raise InvalidInput(f"{name}: policies need dexctl to be installed (pip install)")
-        policy = None if name == "learned" else name
-        return controllers.make("learned", model, control_period=None, policy=policy)
-    if ":" not in name:
-        if name == "sine":
-            return Sine(model, control_period=usual)
-        if name not in controllers.names():
-            known = (*controllers.names(), "sine", "POLICY.npz", "module:function")
-            raise UnknownName("controller", name, known)
-        # those of other packages may have a rate of their own
-        own = controllers.entry(name).module.startswith("dexctl.")
-        return controllers.make(name, model, control_period=usual if own else period)
-    module, _, attribute = name.partition(":")
-    try:
-        make = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InvalidInput(f"controller is {name!r}; it cannot be loaded: {error}") from None
-    made = make(model, control_period=usual)
-    if not isinstance(made, Controller):
-        raise InvalidInput(f"{name} made a {type(made).__name__}; expected a dexctl.Controller")
-    return made
+def _usual_period(name: str) -> float | None:
+    """None for policies and controllers of other packages, which may have a rate of their own."""
+    known = name in controllers.names()
+    own = known and controllers.entry(name).module.startswith("dexctl.")
+    return PERIOD if own or ":" in name else None
 
 
 def truth(session: Session) -> Mapping[str, Any]:
@@ -204,7 +187,7 @@ def truth(session: Session) -> Mapping[str, Any]:
 def finish(found: RunReport, folder: Path, *, as_json: bool) -> int:
     """Report, summary and exit code of a run: 0 as wanted, 1 held or failed, 130 interrupted."""
     log = read_log(folder / "run.mcap")
-    merits = report.figures_of_merit(log)
+    figures = figures_of_merit(log)
     try:
         report.write(log, folder / "report.html")
         written = "run.mcap and report.html"
@@ -212,13 +195,12 @@ def finish(found: RunReport, folder: Path, *, as_json: bool) -> int:
         notes().print(f"no report: {error}")
         written = "run.mcap"
     if as_json:
-        print_json({"command": "run", **found.as_dict(), "figures": merits, "folder": str(folder)})
+        print_json({"command": "run", **found.as_dict(), "figures": figures, "folder": str(folder)})
     else:
         console = results()
         cause = f" ({found.cause.value})" if found.cause else ""
         console.print(f"outcome: {found.outcome.value}{cause}; {found.torque_message}")
-        for name, value in merits.items():
-            console.print(f"  {name:<20} {value:.4g}")
+        console.print(facts(in_words(figures)))
         console.print(f"in {folder}: {written}", soft_wrap=True)
     if found.outcome is not State.IDLE:
         return 1

@@ -48,7 +48,7 @@ class Settings:
     """What it holds; "none" for nothing."""
     gravity: Literal["up", "down"] = "up"
     """Which way the palm looks."""
-    latency: float = 0.0
+    action_latency: float = 0.0
     """From a goal's arrival to its effect [s]."""
     seed: int = 0
     """Of random faults and of the simulated touch."""
@@ -87,7 +87,7 @@ def _check(settings: Settings, count: int) -> None:
 def _chain(settings: Settings) -> Chain:
     joints = _joints(settings)
     _check(settings, len(joints.q))
-    joints.set_latency(settings.latency)
+    joints.set_action_latency(settings.action_latency)
     return Chain(joints, settings.ids, settings.zeros, settings.signs, not settings.no_fast)
 
 

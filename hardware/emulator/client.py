@@ -34,7 +34,7 @@ class Emulator:
         start: where first-order joints start [rad].
         dynamics: "first-order", or "mujoco" for a simulated hand.
         hand, object, gravity: of the simulated hand; object "none" leaves it empty.
-        latency: from a goal's arrival to its effect [s].
+        action_latency: from a goal's arrival to its effect [s].
         seed: of random faults.
         manual: time passes only by :meth:`advance`, so that a busy machine changes nothing.
         fast: whether the servos know fast reads.
@@ -59,18 +59,27 @@ class Emulator:
         hand: str = "dex5",
         object: str = "cylinder",  # noqa: A002 (the field's name for it)
         gravity: str = "up",
-        latency: float = 0.0,
+        action_latency: float = 0.0,
         seed: int = 0,
         manual: bool = False,
         fast: bool = True,
     ) -> None:
-        command = [sys.executable, "-m", "hardware.emulator", "--servos", str(servos)]
+        command = [sys.executable, "-m", "hardware.emulator"]
+        options = {
+            "servos": servos,
+            "dynamics": dynamics,
+            "hand": hand,
+            "object": object,
+            "gravity": gravity,
+            "action-latency": float(action_latency),
+            "seed": seed,
+        }
+        for name, value in options.items():
+            command += [f"--{name}", str(value)]
         lists = (("ids", ids), ("zeros", zeros), ("signs", signs), ("start", start))
         for name, values in lists:
             if values is not None:
                 command += [f"--{name}", *(repr(value) for value in values)]
-        command += ["--dynamics", dynamics, "--hand", hand, "--object", object]
-        command += ["--gravity", gravity, "--latency", repr(float(latency)), "--seed", str(seed)]
         command += ["--manual"] * manual + ["--no-fast"] * (not fast)
         self._lock = threading.Lock()
         self._line = b""

@@ -99,7 +99,7 @@ class Joints(ABC):
         reference: where the profile has got to, ``(n,)`` [rad].
         reference_speed: how fast it moves, ``(n,)`` [rad/s].
         timestep: [s].
-        latency: from a goal's arrival to its effect [s], in whole timesteps; 0 until set.
+        action_latency: from a goal's arrival to its effect [s], in whole timesteps; 0 until set.
     """
 
     def __init__(self, q: Floats, timestep: float) -> None:
@@ -111,7 +111,7 @@ class Joints(ABC):
         self.reference = self.q.copy()
         self.reference_speed = np.zeros(count)
         self.timestep = timestep
-        self.latency = 0.0
+        self.action_latency = 0.0
         self._late = np.zeros((0, count))  # goals on their way, the oldest first
         self._owed = 0.0
 
@@ -125,16 +125,16 @@ class Joints(ABC):
             self._step(self.timestep)
         return steps > 0
 
-    def set_latency(self, seconds: float) -> None:
+    def set_action_latency(self, seconds: float) -> None:
         """Let goals take effect so much later [s], rounded to timesteps.
 
         Raises:
             InvalidInput: not between 0 and `LONGEST_LATENCY`.
         """
         if not 0 <= seconds <= LONGEST_LATENCY:
-            raise InvalidInput(f"latency is {seconds}; expected 0 to {LONGEST_LATENCY:g} s")
+            raise InvalidInput(f"action_latency is {seconds}; expected 0 to {LONGEST_LATENCY:g} s")
         periods = round(seconds / self.timestep)
-        self.latency = periods * self.timestep
+        self.action_latency = periods * self.timestep
         self._late = np.repeat(self.commands.goal[None], periods, axis=0)
 
     def _goal(self) -> Floats:

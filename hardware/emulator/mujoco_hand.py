@@ -21,7 +21,6 @@ from hardware.registers import OperatingMode
 
 NOTHING = "none"
 FAR = 10.0  # m from the hand: where the object of an empty hand starts its fall
-FARTHEST = 50.0  # m: where it is brought back
 GEAR_FRICTION = 0.1  # N m that holds a joint while its torque is off (ours)
 PRESSING_FORCE = 1.0  # N by every finger, over
 PRESSING_TIME = 0.3  # s, and the object is let go
@@ -60,21 +59,17 @@ class MujocoHand(Joints):
         self._sim = BatchSimulator(
             scene, control_period=timestep, substeps=1, threads=1, disturbance=0.0, seed=seed
         )
-        away = FAR * scene.gravity / np.linalg.norm(scene.gravity)
-        self._far = scene.grasp_centre + away
         if self._empty:
-            self._sim.set_grasp(scene.open_q, scene.open_q, self._far, [1.0, 0.0, 0.0, 0.0])
+            far = scene.grasp_centre + FAR * scene.gravity / np.linalg.norm(scene.gravity)
+            self._sim.set_grasp(scene.open_q, scene.open_q, far, [1.0, 0.0, 0.0, 0.0])
         self._state = self._sim.read()
         super().__init__(self._state.q, timestep)
-        self._qpos = 1 + scene.object_qpos.start  # columns of the physics state: time, qpos, qvel
-        qvel = 1 + scene.model.nq + scene.object_qvel.start
-        self._object_qvel = slice(qvel, qvel + 6)
         self._anchor = self.q.copy()
         self._kp = np.full(len(self.q), float(scene.stiffness[0]))
         self._kv = np.zeros(len(self.q))
         self._gains: tuple[float, float] | None = None
         self.supported = not self._empty
-        self._start = self._sim.save().physics[:, self._qpos : self._qpos + 7].copy()
+        self._held_at = self._object_pose()
         self._pressed = 0.0
 
     def touch(self) -> dict[str, object]:
@@ -95,7 +90,7 @@ class MujocoHand(Joints):
         """Hold the object still where it is now, or let it go at once."""
         self.supported = bool(supported) and not self._empty
         self._pressed = 0.0
-        self._start = self._sim.save().physics[:, self._qpos : self._qpos + 7].copy()
+        self._held_at = self._object_pose()
 
     def _step(self, h: float) -> None:
         self._take_gains()
@@ -139,24 +134,20 @@ class MujocoHand(Joints):
         return np.where(c.torque_on, np.where(plain, self.reference, asked), self._anchor)
 
     def _hold_object(self, h: float) -> None:
-        """Keep a supported object still, and the empty hand's object from falling for ever."""
-        if self.supported:
-            self._place_object(self._start)
-            pressing = (self._state.contact_force >= PRESSING_FORCE).all()
-            driven = self.commands.torque_on.all()
-            self._pressed = self._pressed + h if pressing and driven else 0.0
-            if self._pressed >= PRESSING_TIME:
-                self.supported = False
-        elif self._empty:
-            at = self._state.object_position
-            if at is not None and np.abs(at).max() > FARTHEST:
-                self._place_object(np.array([[*self._far, 1.0, 0.0, 0.0, 0.0]]))
+        """Keep a supported object still until every finger has pressed on it for long enough."""
+        if not self.supported:
+            return
+        self._sim.place_object(*self._held_at)
+        pressing = (self._state.contact_force >= PRESSING_FORCE).all()
+        driven = self.commands.torque_on.all()
+        self._pressed = self._pressed + h if pressing and driven else 0.0
+        self.supported = self._pressed < PRESSING_TIME
 
-    def _place_object(self, pose: Floats) -> None:
-        saved = self._sim.save()
-        saved.physics[:, self._qpos : self._qpos + 7] = pose
-        saved.physics[:, self._object_qvel] = 0.0
-        self._sim.restore(saved)
+    def _object_pose(self) -> tuple[Floats, Floats]:
+        state = self._sim.read()
+        assert state.object_position is not None
+        assert state.object_quaternion is not None
+        return state.object_position, state.object_quaternion
 
 
 def _list(vector: Floats | None) -> list[float] | None:

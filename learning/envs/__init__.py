@@ -1,4 +1,4 @@
-"""Environments: a hand that is rewarded for turning an object with its fingertips.
+"""Environments: what hands do with objects, and what it is worth.
 
 The environments themselves need the extra "learning" and are loaded when they are first named; what
 trained policies share with them (observation, action, configuration) does not.
@@ -12,30 +12,32 @@ from typing import TYPE_CHECKING
 from dexctl.exceptions import MissingExtra
 from learning.envs.action import SetPointAction
 from learning.envs.config import EnvConfig
-from learning.envs.initial_states import InitialStates
 from learning.envs.observation import DEFAULT_PARTS, PARTS, Observation
+from learning.envs.task import Judgement, Step, Task
+from learning.envs.turning import TurningConfig
 
 if TYPE_CHECKING:
-    from learning.envs.single import FingerGaitingEnv
-    from learning.envs.vector import EnvState, FingerGaitingVectorEnv, make_vector
+    from learning.envs.single import ManipulationEnv
+    from learning.envs.vector import ManipulationVectorEnv, make_vector
 
 __all__ = [
     "DEFAULT_PARTS",
     "PARTS",
     "EnvConfig",
-    "EnvState",
-    "FingerGaitingEnv",
-    "FingerGaitingVectorEnv",
-    "InitialStates",
+    "Judgement",
+    "ManipulationEnv",
+    "ManipulationVectorEnv",
     "Observation",
     "SetPointAction",
+    "Step",
+    "Task",
+    "TurningConfig",
     "make_vector",
 ]
 
 _LAZY = {
-    "EnvState": "learning.envs.vector",
-    "FingerGaitingEnv": "learning.envs.single",
-    "FingerGaitingVectorEnv": "learning.envs.vector",
+    "ManipulationEnv": "learning.envs.single",
+    "ManipulationVectorEnv": "learning.envs.vector",
     "make_vector": "learning.envs.vector",
 }
 

@@ -21,6 +21,7 @@ Rows of fingers that do not touch are zero. ``VERSION`` counts the changes of th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ class Observation:
         scaled: bring every part to about unit size: joints to their range, positions to lengths
             of 0.05 m from ``centre``, forces to 2 N.
         centre: what scaled positions are measured from, ``(3,)`` [m].
+        more: parts beside `PARTS` by name, a task's.
 
     Attributes:
         parts, scaled: as given.
@@ -65,22 +67,24 @@ class Observation:
         *,
         scaled: bool = False,
         centre: ArrayLike = (0.0, 0.0, 0.0),
+        more: Mapping[str, Part] | None = None,
     ) -> None:
-        self.parts = check_parts(parts)
+        known = {**PARTS, **(more or {})}
+        self.parts = check_parts(parts, known)
+        own = self._own = [known[name] for name in self.parts]
         self.scaled = bool(scaled)
         self._hand = hand
         self._centre = np.asarray(centre, float)
         d, m = hand.nq, hand.n_fingers
-        sizes = {name: PARTS[name].size(d, m) for name in self.parts}
-        ends = np.cumsum(list(sizes.values()))
+        sizes = [part.size(d, m) for part in own]
+        ends = np.cumsum(sizes)
         self.size = int(ends[-1])
         self.slices = {
-            name: slice(int(end) - sizes[name], int(end))
-            for name, end in zip(self.parts, ends, strict=True)
+            name: slice(int(end) - size, int(end))
+            for name, size, end in zip(self.parts, sizes, ends, strict=True)
         }
-        bounds = [PARTS[name].bounds for name in self.parts]
-        self.low = np.repeat([low for low, _ in bounds], list(sizes.values())).astype(np.float32)
-        self.high = np.repeat([high for _, high in bounds], list(sizes.values())).astype(np.float32)
+        self.low = np.repeat([part.bounds[0] for part in own], sizes).astype(np.float32)
+        self.high = np.repeat([part.bounds[1] for part in own], sizes).astype(np.float32)
         middle, half = (hand.lower + hand.upper) / 2, (hand.upper - hand.lower) / 2
         limited = np.isfinite(half) & (half > 0)
         self._middle, self._half = np.where(limited, middle, 0.0), np.where(limited, half, np.pi)
@@ -93,8 +97,8 @@ class Observation:
         """
         batch = state.batch_shape
         out = np.empty((*batch, self.size), np.float32)
-        for name, columns in self.slices.items():
-            value = PARTS[name].read(state)
+        for part, (name, columns) in zip(self._own, self.slices.items(), strict=True):
+            value = part.read(state)
             if value is None:
                 raise InvalidInput(
                     f"the observation part {name!r} needs the object's pose, which this state "
@@ -171,7 +175,7 @@ def _upper_half(quaternion: Floats | None) -> Floats | None:
     return np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
-PARTS: Mapping[str, Part] = {
+PARTS: dict[str, Part] = {
     "q": Part(lambda d, m: d, lambda state: state.q),
     "q_target": Part(lambda d, m: d, lambda state: state.q_target),
     "contact_position": Part(lambda d, m: 3 * m, lambda state: state.contact_position),
@@ -185,17 +189,29 @@ PARTS: Mapping[str, Part] = {
 }
 
 
-def check_parts(parts: Sequence[str]) -> tuple[str, ...]:
+def check_names(parts: Sequence[str]) -> tuple[str, ...]:
+    """The names as a tuple.
+
+    Raises:
+        InvalidInput: no part, or one named twice.
+    """
+    names = (parts,) if isinstance(parts, str) else tuple(parts)
+    if not names or len(set(names)) < len(names):
+        raise InvalidInput(f"parts is {names}; expected one or more, each named once")
+    return names
+
+
+def check_parts(
+    parts: Sequence[str], known: Mapping[str, Part] = MappingProxyType(PARTS)
+) -> tuple[str, ...]:
     """The names as a tuple.
 
     Raises:
         UnknownName: no such part.
         InvalidInput: no part, or one named twice.
     """
-    names = (parts,) if isinstance(parts, str) else tuple(parts)
+    names = check_names(parts)
     for name in names:
-        if name not in PARTS:
-            raise UnknownName("observation part", name, PARTS)
-    if not names or len(set(names)) < len(names):
-        raise InvalidInput(f"parts is {names}; expected one or more, each named once")
+        if name not in known:
+            raise UnknownName("observation part", name, known)
     return names

@@ -1,4 +1,4 @@
-"""FingerGaitingEnv: one hand that is rewarded for turning its object."""
+"""ManipulationEnv: one hand with an object and a task."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
+from dexctl.settings import from_plain
 from dexctl.state import GraspState
 from learning.envs.action import check_action
 from learning.envs.config import EnvConfig
 from learning.envs.rendering import RENDER_MODES
-from learning.envs.vector import FingerGaitingVectorEnv, config_from
+from learning.envs.vector import ManipulationVectorEnv
 
 
-class FingerGaitingEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """One environment, with the numbers that it has in a batch (see `FingerGaitingVectorEnv`).
+class ManipulationEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """One environment, with the numbers that it has in a batch (see `ManipulationVectorEnv`).
 
     Args:
         config: what the environment is; None is made of ``options``.
         seed: of the random streams until `reset` gets one; None draws one.
         render_mode: None, "rgb_array" or "human".
-        **options: fields of `EnvConfig`.
+        **options: settings of `EnvConfig` by name.
 
     Raises:
         UnknownName, InvalidInput: a setting is wrong.
@@ -45,8 +46,8 @@ class FingerGaitingEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> None:
         if config is not None and options:
             raise InvalidInput(f"got a config and {', '.join(options)}; expected one or the other")
-        self.batch = FingerGaitingVectorEnv(
-            config if config is not None else config_from(options),
+        self.batch = ManipulationVectorEnv(
+            config if config is not None else from_plain(EnvConfig, options),
             1,
             seed,
             autoreset=False,
@@ -67,7 +68,7 @@ class FingerGaitingEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin a new episode; see `FingerGaitingVectorEnv.reset`."""
+        """Begin a new episode; see `ManipulationVectorEnv.reset`."""
         super().reset(seed=seed)
         observations, _ = self.batch.reset(seed=seed)
         return observations[0], {}
@@ -75,7 +76,7 @@ class FingerGaitingEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: ArrayLike
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One control step; see `FingerGaitingVectorEnv.step`."""
+        """One control step; see `ManipulationVectorEnv.step`."""
         row = check_action(action, (self.hand.nq,))[None]
         observations, reward, terminated, truncated, info = self.batch.step(row)
         single = {name: value[0] for name, value in info.items() if "final_obs" not in name}

@@ -1,12 +1,7 @@
 """Who acts while an agent explores: its policy or a controller."""
 
-from learning.exploration.guide import (
-    METHODS,
-    GuidanceConfig,
-    Guide,
-    Guided,
-    commitment,
-)
+from learning.exploration.config import METHODS, GuidanceConfig
+from learning.exploration.guide import Guide, Guided, commitment
 from learning.exploration.mixture import (
     POLICY,
     Segments,

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import io
-import pickle
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from dexctl.controller import Controller
-from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.exceptions import InvalidInput
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.streams import Streams
-from dexctl.validation import check_numbers
+from dexctl.streams import Streams, StreamsState
+from learning.exploration.config import GuidanceConfig, check_controllers
 from learning.exploration.mixture import (
     POLICY,
     Segments,
@@ -24,10 +21,6 @@ from learning.exploration.mixture import (
     value_probabilities,
 )
 
-CLONED = (None, "acted", "visited")
-CLONINGS = ("likelihood", "squared")
-CLONING_WEIGHTS = ("value", "equal", "better")
-METHODS = ("rl", "rl+bc", "fge", "vge", "vge+bc")
 Values = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -45,94 +38,6 @@ class GuidedEnv(Protocol):
     def change_to_action(self, change: Floats) -> Floats:
         """The action that asks for a set-point change [rad], within the action space."""
         ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class GuidanceConfig:
-    """How the controllers guide the exploration.
-
-    Attributes:
-        method: "rl": no controllers. "rl+bc": they label the states that the policy visits.
-            "fge": chosen on a fixed schedule (fixed guided exploration). "vge": chosen by value
-            (value guided exploration). "vge+bc": and the policy imitates what they did.
-        horizon: H, steps that a choice holds for; None: as long as the controller's own motion,
-            and as the longest of them for the policy.
-        hard_stop: controllers are asked no more from this environment step on; the thesis has 4 M.
-        temperature: of VGE's softmax; 1 is the thesis's.
-        fixed_start: FGE's share of the controllers at step 0; it falls linearly to 0 at the hard
-            stop. The thesis gives no numbers; ours.
-        beta: weight of behaviour cloning at step 0; falls linearly. Ours.
-        beta_end: what it falls to; the thesis has 0.
-        beta_stop: the step at which it is there; None: the hard stop.
-        cloned: what the methods with bc imitate: "acted", the controllers' actions in the steps
-            that they did (the thesis's VGE+BC), or "visited", what the first controller would do
-            in every state that comes about, whoever acts (as in dataset aggregation; Ross et al.
-            2011). RL+BC, where no controller acts, knows "visited" only. None: the method's.
-        cloning: "likelihood" (the thesis's), or "squared": the squared distance between the
-            policy's mean action and the controller's. TD3 knows "squared" only.
-        cloning_weight: of each imitated action: "value", max(Q, 0) as in the thesis; "equal":
-            1, with the actor's own loss divided by the mean |Q| (Fujimoto and Gu 2021), so
-            that beta means the same however large values are; or "better": 1 where the critics
-            prefer the controller's action to the policy's, else 0 (Nair et al. 2018).
-    """
-
-    method: str = "vge"
-    horizon: int | None = None
-    hard_stop: int = 4_000_000
-    temperature: float = 1.0
-    fixed_start: float = 1.0
-    beta: float = 0.1
-    beta_end: float = 0.0
-    beta_stop: int | None = None
-    cloned: str | None = None
-    cloning: str = "likelihood"
-    cloning_weight: str = "value"
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise UnknownName("method", self.method, METHODS)
-        if self.horizon is not None and not self.horizon >= 1:
-            raise InvalidInput(f"horizon is {self.horizon}; expected steps of at least 1, or None")
-        for name, known in (
-            ("cloned", CLONED), ("cloning", CLONINGS), ("cloning_weight", CLONING_WEIGHTS),
-        ):  # fmt: skip
-            if getattr(self, name) not in known:
-                raise UnknownName(name, getattr(self, name), [str(one) for one in known])
-        if self.cloned == "acted" and self.method == "rl+bc":
-            raise InvalidInput("cloned is 'acted', and no controller acts in the method 'rl+bc'")
-        if self.beta_stop is not None and self.beta_stop < 1:
-            raise InvalidInput(f"beta_stop is {self.beta_stop}; expected steps from 1 on, or None")
-        check_numbers(
-            self,
-            positive=("temperature",),
-            not_negative=("hard_stop", "beta", "beta_end"),
-            fractions=("fixed_start",),
-        )
-
-    @property
-    def labels_all(self) -> bool:
-        """Whether every state is labelled with what the first controller would do."""
-        return self.imitates and (self.method == "rl+bc" or self.cloned == "visited")
-
-    @property
-    def follows(self) -> bool:
-        """Whether controllers act."""
-        return self.method in ("fge", "vge", "vge+bc")
-
-    @property
-    def imitates(self) -> bool:
-        """Whether the policy is cloned from them."""
-        return self.method.endswith("+bc")
-
-
-def check_controllers(method: str, names: Sequence[str]) -> None:
-    """Raise InvalidInput where a method has more or fewer controllers than it can use."""
-    if method != "rl" and not names:
-        raise InvalidInput(f"method {method!r} got no controllers; expected one or more")
-    if method == "rl+bc" and len(names) > 1:
-        raise InvalidInput(
-            f"method 'rl+bc' has the controllers {', '.join(names)} at once; it takes one"
-        )
 
 
 class Guided(NamedTuple):
@@ -278,19 +183,25 @@ class Guide:
                 controller.reset(mask=done)
 
     def state_dict(self) -> dict[str, Any]:
-        """All that decides the future; controllers are pickled whole, but for their hand."""
+        """All that decides the future, as arrays and plain values.
+
+        A controller that cannot give its state has None there: it begins anew.
+        """
         return {
             "actor": self.segments.actor,
             "left": self.segments.left,
-            "streams": tuple(self._streams.save()),
+            "streams": self._streams.save()._asdict(),
             "acted": self.acted.copy(),
             "chances": self.chances.copy(),
             "choices": self.choices,
-            "controllers": [_pickled(controller) for controller in self.controllers],
+            "controllers": [_state_of(controller) for controller in self.controllers],
         }
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> list[str]:
         """Continue from what `state_dict` gave.
+
+        Returns:
+            What people should know: which controllers begin anew.
 
         Raises:
             InvalidInput: it is of other controllers, or of another number of environments.
@@ -304,15 +215,17 @@ class Guide:
                 f"{len(self.segments.actor)}"
             )
         self.segments = Segments(saved["actor"].copy(), saved["left"].copy())
-        self._streams.restore(type(self._streams.save())(*saved["streams"]))
-        self.acted = saved["acted"].copy()
-        # checkpoints of earlier versions have not counted these
-        self.chances = np.array(saved.get("chances", np.zeros(len(self.lengths))))
-        self.choices = int(saved.get("choices", 0))
-        self.controllers = tuple(
-            _unpickled(data, controller.hand)
-            for data, controller in zip(saved["controllers"], self.controllers, strict=True)
-        )
+        self._streams.restore(StreamsState(**saved["streams"]))
+        self.acted, self.chances = saved["acted"].copy(), saved["chances"].copy()
+        self.choices = int(saved["choices"])
+        remarks = []
+        for controller, state in zip(self.controllers, saved["controllers"], strict=True):
+            if state is None:
+                name = type(controller).__name__
+                remarks.append(f"{name} does not give its state: it begins anew")
+            else:
+                controller.load_state_dict(state)
+        return remarks
 
 
 UNSTATED_HORIZON = 40
@@ -331,19 +244,8 @@ def commitment(controller: Controller) -> int | None:
     return max(1, round(duration / controller.control_period))
 
 
-def _pickled(controller: Controller) -> bytes:
-    class Pickler(pickle.Pickler):
-        def persistent_id(self, obj: object) -> str | None:
-            return "hand" if obj is controller.hand else None
-
-    file = io.BytesIO()
-    Pickler(file).dump(controller)
-    return file.getvalue()
-
-
-def _unpickled(data: bytes, hand: object) -> Controller:
-    class Unpickler(pickle.Unpickler):
-        def persistent_load(self, pid: object) -> object:
-            return hand
-
-    return Unpickler(io.BytesIO(data)).load()
+def _state_of(controller: Controller) -> dict[str, Any] | None:
+    try:
+        return controller.state_dict()
+    except NotImplementedError:
+        return None

@@ -11,9 +11,11 @@ import numpy as np
 
 from dexctl.state import Floats, GraspState
 from learning.exploration.mixture import value_probabilities
+from learning.training import checkpoint
+from learning.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from learning.policy import Policy
+    from learning.policies import Policy
     from learning.settings import TrainConfig
 
 _ROWS = 4096  # states valued at a time
@@ -47,11 +49,10 @@ class Critic:
     """
 
     def __init__(self, folder: Path, config: TrainConfig) -> None:
-        from learning import checkpoint
         from learning.agents import StableBaselinesVecEnv
         from learning.train import build
 
-        saved = checkpoint.read(folder)
+        saved = checkpoint.read(RunFolder(folder).checkpoint_path)
         # the same networks, with the least of everything else
         small = replace(
             config,

@@ -17,8 +17,9 @@ from learning.inspection.grasps import Grasps, examine, with_margin
 from learning.inspection.onset import CAUSES, Drop, DropRule, find_drops, moments_of
 from learning.inspection.rollout import Rollouts, roll_out
 from learning.inspection.subject import Subject
-from learning.inspection.training import CSV_NAME, TrainingLog, read_training
-from learning.policy import Policy
+from learning.inspection.training import TrainingLog, read_training
+from learning.policies import Policy
+from learning.training.run_folder import RunFolder
 
 MARGIN_EVERY = 2.5
 """Sampling period of the margin over all episodes [s]."""
@@ -202,7 +203,7 @@ def inspect(
     rule = rule if rule is not None else DropRule()
     tell = progress if progress is not None else (lambda what, share: None)
     training = None
-    if subject.folder is not None and (subject.folder / CSV_NAME).exists():
+    if subject.folder is not None and RunFolder(subject.folder).progress_path.exists():
         training = read_training(subject.folder)
     rollouts = roll_out(
         subject,

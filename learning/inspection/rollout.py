@@ -17,7 +17,7 @@ from learning.inspection.angles import action_angle
 from learning.inspection.critic import Valued
 from learning.inspection.shadow import ACTION, Shadowed
 from learning.inspection.subject import Subject
-from learning.policy import Policy
+from learning.policies import Policy
 
 if TYPE_CHECKING:
     from dexctl.hand import HandModel

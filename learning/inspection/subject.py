@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 from dexctl import controllers, hands
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
-from learning.policy import Policy, load_policy
+from learning.policies import Policy, load_policy
+from learning.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from learning.inspection.critic import Critic
     from learning.settings import TrainConfig
 
-CONFIG_NAME, POLICY_NAME, CHECKPOINT_NAME = "config.json", "policy.npz", "checkpoint.pt"
 SHADOWS = ("igm", "gait", "coordinated")
 """Controllers in shadow where nothing says which guided the training."""
 
@@ -89,7 +89,7 @@ def open_subject(name: str, hand: str | None = None) -> Subject:
         return _open_run(name, path, hand)
     if path.suffix == ".npz":
         remark = "A policy file has no critic: p_psi needs the run folder, with its checkpoint."
-        return Subject(name, "policy", load_policy(path, hand=hand), remarks=(remark,))
+        return Subject(name, "policy", policies.load(path, hand=hand), remarks=(remark,))
     if name in controllers.names():
         made = controllers.make(name, hands.load(hand or "dex5"))
         remark = "A controller has no critic, so there is no p_psi."
@@ -102,20 +102,24 @@ def open_subject(name: str, hand: str | None = None) -> Subject:
 
 
 def _open_run(name: str, folder: Path, hand: str | None) -> Subject:
-    if not (folder / CONFIG_NAME).exists():
-        raise InvalidInput(f"{name!r} is no run folder: there is no {CONFIG_NAME} in it")
-    if not (folder / POLICY_NAME).exists():
+    run = RunFolder(folder)
+    if not run.config_path.exists():
+        raise InvalidInput(f"{name!r} is no run folder: there is no {run.config_path.name} in it")
+    if not run.policy_path.exists():
         raise InvalidInput(
-            f"the run {name!r} has no {POLICY_NAME} yet; it comes with the first checkpoint"
+            f"the run {name!r} has no {run.policy_path.name} yet; "
+            "it comes with the first checkpoint"
         )
     from learning.inspection.training import read_config
 
     config = read_config(folder)
-    policy = load_policy(folder / POLICY_NAME, hand=hand)
+    policy = load_policy(run.policy_path, hand=hand)
     remarks: tuple[str, ...] = ()
     critic = None
-    if not (folder / CHECKPOINT_NAME).exists():
-        remarks = (f"The run has no {CHECKPOINT_NAME}, so there is no critic and no p_psi.",)
+    if not run.checkpoint_path.exists():
+        remarks = (
+            f"The run has no {run.checkpoint_path.name}, so there is no critic and no p_psi.",
+        )
     else:
         from importlib.util import find_spec
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +12,7 @@ import numpy as np
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from learning.settings import TrainConfig
-
-CSV_NAME = "progress.csv"
+from learning.training.run_folder import RunFolder
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +20,7 @@ class TrainingLog:
     """The rows of ``progress.csv``.
 
     Attributes:
-        columns: by name, ``(R,)``, NaN where a row has none; see `learning.run_log.COLUMNS`.
+        columns: by name, ``(R,)``, NaN where a row has none; see `learning.training.log.COLUMNS`.
         config: of the run.
     """
 
@@ -65,24 +62,12 @@ def read_training(folder: Path) -> TrainingLog:
     Raises:
         InvalidInput: there is none, or it cannot be read.
     """
-    config, path = read_config(folder), folder / CSV_NAME
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            # a row that a kill cut short lacks its last column
-            rows = [row for row in csv.DictReader(stream) if row.get("seconds")]
-    except FileNotFoundError:
-        raise InvalidInput(f"there is no {CSV_NAME} in {folder}") from None
+    config, run = read_config(folder), RunFolder(folder)
+    if not run.progress_path.exists():
+        raise InvalidInput(f"there is no {run.progress_path.name} in {folder}")
+    rows = run.progress()
     names = list(rows[0]) if rows else ["step"]
-    try:
-        columns = {
-            name: np.array([float(row[name]) if row[name] else np.nan for row in rows])
-            for name in names
-        }
-    except (ValueError, KeyError, TypeError) as error:
-        raise InvalidInput(f"{path} is not a training log: {error}") from None
-    if "step" not in columns:
-        raise InvalidInput(f"{path} is not a training log: it has no column step")
-    return TrainingLog(columns, config)
+    return TrainingLog({name: np.array([row[name] for row in rows]) for name in names}, config)
 
 
 def read_config(folder: Path) -> TrainConfig:
@@ -91,11 +76,4 @@ def read_config(folder: Path) -> TrainConfig:
     Raises:
         InvalidInput: there is none, or it is wrong.
     """
-    path = folder / "config.json"
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InvalidInput(f"there is no run in {folder}: no config.json") from None
-    except ValueError as error:
-        raise InvalidInput(f"{path} is not JSON: {error}") from None
-    return TrainConfig.from_dict(values)
+    return TrainConfig.from_dict(RunFolder(folder).config_values())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dexctl.state import Floats
-from learning.run_log import CSV_NAME
 from learning.sweep.config import Cell, SweepConfig
 from learning.sweep.jobs import run_folder
+from learning.training.run_folder import RunFolder
 
 
 class Log(NamedTuple):
@@ -49,20 +48,10 @@ class Curve(NamedTuple):
 
 def read_log(folder: Path, column: str) -> Log:
     """A column of the log of the run in ``folder``; empty where there is none yet."""
-    rows = read_rows(folder)
-    pairs = [(float(row["step"]), float(row[column])) for row in rows if row.get(column)]
-    array = np.array(pairs, float).reshape(-1, 2)
+    rows = RunFolder(folder).progress()
+    array = np.array([(row["step"], row.get(column, np.nan)) for row in rows]).reshape(-1, 2)
+    array = array[~np.isnan(array[:, 1])]
     return Log(array[:, 0], array[:, 1])
-
-
-def read_rows(folder: Path) -> list[dict[str, str]]:
-    """The rows of the log; one that is being written is left out."""
-    try:
-        with (folder / CSV_NAME).open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except OSError:
-        return []
-    return [row for row in rows if row.get("seconds")]
 
 
 def over_seeds(cell: Cell, logs: Sequence[Log], planned: int) -> Curve:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from learning.sweep.curves import read_rows
 from learning.sweep.jobs import Job
+from learning.training.run_folder import RunFolder
 
 RECENT = 6  # rows that the speed is taken from
 
@@ -45,14 +46,16 @@ def progress(job: Job) -> Progress:
 
 def of_rows(folder: Path, total: int) -> Progress:
     """Where the run in ``folder`` is, of ``total`` steps."""
-    rows = read_rows(folder)
+    rows = RunFolder(folder).progress()
     if not rows:
         return Progress(0, total, {}, None)
     last = rows[-1]
     figures = {
-        name: float(last[name]) for name in ("return", "rotation", "dropped") if last.get(name)
+        name: last[name]
+        for name in ("return", "rotation", "dropped")
+        if not math.isnan(last.get(name, math.nan))
     }
-    points = [(0.0, 0.0), *((float(row["step"]), float(row["seconds"])) for row in rows)]
+    points = [(0.0, 0.0), *((row["step"], row["seconds"]) for row in rows)]
     (step, seconds), (before, then) = points[-1], points[max(len(points) - 1 - RECENT, 0)]
     speed = (step - before) / (seconds - then) if seconds > then else 0.0
     left = max(total - step, 0.0) / speed if speed > 0 else None

@@ -21,7 +21,7 @@ from dexctl.controller import Controller
 from dexctl.exceptions import DexctlError, InvalidInput
 from learning.evaluate import Evaluation, Protocol, evaluate
 from learning.sweep.jobs import FAILURE, Job, write_failure, write_result
-from learning.sweep.lock import locked
+from learning.training.run_folder import RunFolder
 
 SECONDS_TO_SAVE = 20.0
 
@@ -36,8 +36,9 @@ def do(job: Job) -> None:
     Raises:
         Exception: whatever went wrong.
     """
-    job.folder.mkdir(parents=True, exist_ok=True)
-    with locked(job.folder, wait=2 * SECONDS_TO_SAVE):
+    run = RunFolder(job.folder)
+    with run.lock(wait=2 * SECONDS_TO_SAVE):
+        run.clean()
         (job.folder / FAILURE).unlink(missing_ok=True)
         found: dict[str, Any] = {"name": job.name, "evaluation": job.evaluation}
         hand = None
@@ -58,22 +59,21 @@ def do(job: Job) -> None:
 
 def _train(job: Job) -> tuple[Controller, dict[str, Any]]:
     """Train, or go on training; the policy and what is known of it."""
-    from learning import checkpoint
-    from learning.policy import load_policy
+    from learning.policies import load as load_policy
     from learning.settings import TrainConfig
-    from learning.train import CONFIG_NAME, read_config, resume, train
+    from learning.train import read_config, resume, train
 
     config = TrainConfig.from_dict(job.config or {})
-    if (job.folder / CONFIG_NAME).exists():
+    if RunFolder.is_run(job.folder):
         if read_config(job.folder) != config:
             raise InvalidInput(f"{job.folder} holds a run with another configuration")
-        begun = (job.folder / checkpoint.NAME).exists()
+        begun = RunFolder(job.folder).checkpoint_path.exists()
         _remark(f"{job.name} goes on from {'its checkpoint' if begun else 'the beginning'}")
         found = resume(job.folder, remark=_remark)
     else:
         found = train(config, job.folder, remark=_remark)
     last = {name: float(value) for name, value in found["last"].items()}
-    policy = load_policy(found["policy"])
+    policy = policies.load(found["policy"])
     bad = [name for name, value in last.items() if not np.isfinite(value)]
     if bad or not all(np.isfinite(array).all() for layer in policy.layers for array in layer):
         raise TrainingFailed(

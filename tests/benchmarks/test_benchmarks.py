@@ -16,6 +16,7 @@ PATIENT = ["--patience", "10"]
 SHORT = ["--trials", "2", "--seconds", "0.5"]
 RUNS: dict[str, list[str]] = {
     "igm_latency.py": ["--count", "10", "--rounds", "2"],
+    "compiled_or_plain.py": ["--count", "5", "--rounds", "2", "--hands", "1", "4", "--starts", "1"],
     "gait_batch.py": ["--environments", "4", "--steps", "4", "--warm-up", "1"],
     "simulator.py": ["--environments", "4", "--steps", "3", "--rounds", "2"],
     "in_grasp.py": SHORT,

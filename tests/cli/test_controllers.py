@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from typing import Any
 
@@ -67,7 +68,6 @@ def test_an_axis_turns_them_with_the_same_speed(name: str, dex5: dexctl.HandMode
     about_z: Any = controllers.make(name, dex5, axis=(0.0, 0.0, 1.0))
     other: Any = controllers.make(name, dex5, axis=(0.0, -1.0, 0.0))
     if name == "hold":
-        assert not hasattr(other, "config")
         return
     assert about_z.config == plain.config
     if name == "switch":
@@ -78,17 +78,157 @@ def test_an_axis_turns_them_with_the_same_speed(name: str, dex5: dexctl.HandMode
     assert after.twist == pytest.approx((0.0, 0.0, 0.0, 0.0, -before.twist[5], 0.0))
 
 
-def test_other_packages_add_theirs(dex5: dexctl.HandModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    points = [
-        EntryPoint("in_place", "dexctl.controllers:Hold", controllers.GROUP),
-        EntryPoint("igm", "dexctl.controllers:Hold", controllers.GROUP),  # taken
-    ]
+# -- controllers of other packages --------------------------------------------------------------
+
+
+class Bare(dexctl.Controller):
+    """A plug-in without settings, which turns about z as every controller does by default."""
+
+    made = 0
+
+    def __init__(self, hand: dexctl.HandModel, *, control_period: float = 0.05) -> None:
+        super().__init__(hand, control_period=control_period)
+        Bare.made += 1
+
+    def reset(self, seed: Any = None, mask: Any = None) -> None:
+        pass
+
+    def act(self, state: dexctl.GraspState) -> Any:
+        return np.zeros_like(state.q)
+
+
+class WithOtherConfig(Bare):
+    """Its settings know no axis of ours."""
+
+    def __init__(self, hand: dexctl.HandModel, *, control_period: float = 0.05) -> None:
+        super().__init__(hand, control_period=control_period)
+        self.config = {"speed": 1.0}
+
+
+class Turned(Bare):
+    def __init__(self, hand: dexctl.HandModel, *, axis: Any = (0, 0, 1), **options: Any) -> None:
+        super().__init__(hand, **options)
+        self.axis = axis
+
+
+def anything(hand: dexctl.HandModel, **options: Any) -> dexctl.Controller:
+    """A plug-in's function that says nothing of what it takes."""
+    return Turned(hand, **options)
+
+
+@pytest.fixture
+def plugged(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Any], None]]:
+    """Registers an object as the controller "plugged"."""
+
+    class Point:
+        name, module, attr = "plugged", __name__, "_plugged"
+
+    def plug(kind: Any) -> None:
+        monkeypatch.setattr(controllers, "entry_points", lambda group: [Point])
+        holder = type("Holder", (), {"_plugged": staticmethod(kind)})
+        real = controllers.import_module
+        monkeypatch.setattr(
+            controllers, "import_module", lambda name: holder if name == __name__ else real(name)
+        )
+        controllers._known.cache_clear()
+
+    yield plug
+    controllers._known.cache_clear()
+
+
+@pytest.mark.parametrize("kind", [Bare, WithOtherConfig])
+def test_a_plug_in_that_cannot_be_turned(
+    plugged: Callable[[Any], None], dex5: dexctl.HandModel, kind: Any
+) -> None:
+    plugged(kind)
+    for axis in (None, (0.0, 0.0, 1.0), (0, 0, 2)):
+        assert isinstance(controllers.make("plugged", dex5, axis=axis), kind)
+    for axis in ((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)):
+        with pytest.raises(dexctl.InvalidInput, match="'plugged' cannot be turned") as error:
+            controllers.make("plugged", dex5, axis=axis)
+        assert "\n" not in str(error.value)
+
+
+def test_a_plug_in_that_takes_an_axis_gets_it(
+    plugged: Callable[[Any], None], dex5: dexctl.HandModel
+) -> None:
+    plugged(Turned)
+    made: Any = controllers.make("plugged", dex5, axis=(1.0, 0.0, 0.0), control_period=0.1)
+    assert made.axis == (1.0, 0.0, 0.0)
+    assert made.control_period == 0.1
+    made = controllers.make("plugged", dex5)
+    assert made.axis == (0, 0, 1)
+
+
+def test_a_plug_in_that_does_not_say_what_it_takes(
+    plugged: Callable[[Any], None], dex5: dexctl.HandModel
+) -> None:
+    plugged(anything)
+    with pytest.raises(dexctl.InvalidInput, match="cannot be turned"):
+        controllers.make("plugged", dex5, axis=(1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("name", [*OWN, "learned"])
+@pytest.mark.parametrize("axis", [(0.0, 0.0, 0.0), (1.0, 0.0), (np.nan, 0, 0), 3])
+def test_an_axis_that_is_none_is_an_error(name: str, axis: Any, dex5: dexctl.HandModel) -> None:
+    with pytest.raises(dexctl.InvalidInput, match="axis is"):
+        controllers.make(name, dex5, axis=axis)
+
+
+def test_a_policy_turns_about_the_axis_that_it_was_trained_with(dex5: dexctl.HandModel) -> None:
+    for axis in ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)):
+        made = controllers.make("learned", dex5, axis=axis)
+        assert type(made).__name__ == "Policy"
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_an_unknown_keyword_gets_the_known_ones(name: str, dex5: dexctl.HandModel) -> None:
+    known = {"hold": "axis", "igm": "grip_force", "switch": "pause", "gait": "in_grasp"}
+    with pytest.raises(
+        dexctl.InvalidInput, match=f"grip_froce.*{known.get(name, 'in_grasp')}"
+    ) as error:
+        controllers.make(name, dex5, grip_froce=1.0)
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_keyword_of_a_plug_in(
+    plugged: Callable[[Any], None], dex5: dexctl.HandModel
+) -> None:
+    plugged(Bare)
+    with pytest.raises(dexctl.InvalidInput, match="'plugged' .*speed; known: control_period"):
+        controllers.make("plugged", dex5, speed=1.0)
+
+
+@pytest.mark.parametrize("name", ["igm", "switch", "gait", "coordinated"])
+def test_settings_and_axis_together(name: str, dex5: dexctl.HandModel) -> None:
+    first: Any = controllers.make(name, dex5)
+    changed = type(first.config)()
+    made: Any = controllers.make(name, dex5, config=changed, axis=(1.0, 0.0, 0.0))
+    assert made.config == changed.about((1.0, 0.0, 0.0)) == changed.about((2.0, 0.0, 0.0))
+    assert changed.about((0.0, 0.0, 1.0)) == changed
+
+
+def test_it_is_built_once(plugged: Callable[[Any], None], dex5: dexctl.HandModel) -> None:
+    plugged(Turned)
+    before = Bare.made
+    controllers.make("plugged", dex5, axis=(1.0, 0.0, 0.0))
+    assert Bare.made == before + 1
+
+
+def test_other_packages_add_theirs(plugged: Callable[[Any], None], dex5: dexctl.HandModel) -> None:
+    plugged(Bare)
+    assert controllers.names() == (*OWN, "plugged")
+    assert controllers.entry("plugged").title == "plugged"
+    assert isinstance(controllers.make("plugged", dex5), Bare)
+
+
+def test_own_names_cannot_be_taken_over(
+    monkeypatch: pytest.MonkeyPatch, dex5: dexctl.HandModel
+) -> None:
+    points = [EntryPoint("igm", "dexctl.controllers:Hold", controllers.GROUP)]
     monkeypatch.setattr(controllers, "entry_points", lambda group: points)
     controllers._known.cache_clear()
     try:
-        assert controllers.names() == (*OWN, "in_place")
-        assert controllers.entry("in_place").title == "in place"
-        assert isinstance(controllers.make("in_place", dex5), controllers.Hold)
         assert isinstance(controllers.make("igm", dex5), dexctl.InGraspManipulation)
     finally:
         controllers._known.cache_clear()

@@ -66,7 +66,7 @@ def test_a_resting_finger_does_not_make_up_for_the_wrist(wrist_hand, on_wrist, t
     plain = InGraspManipulationConfig(closing_speed=0.0)
     config = InGraspManipulationConfig.thesis() if thesis else plain
     lost = replace(on_wrist, in_contact=np.array([[True, True, True, False]]))
-    change = config.build(wrist_hand).act(lost)
+    change = InGraspManipulation(wrist_hand, config).act(lost)
     assert change[0, 0] and not change[0, -3:].any()
     released = Share(released=np.array([[False, False, False, True]]))
     change = InGraspManipulation(wrist_hand).command(on_wrist, released)

@@ -63,14 +63,14 @@ def test_write_says_what_it_sent(bus: Bus) -> None:
     assert bus.write(R.GOAL_POSITION, 1.0, [3]).shape == (1,)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e9])
-def test_a_bad_value_sends_nothing(bus: Bus, bad: float) -> None:
-    values = np.zeros(15)
-    values[7] = bad
-    with pytest.raises(InvalidInput, match="goal_position is"):
-        bus.write(R.GOAL_POSITION, values)
-    with pytest.raises(InvalidInput, match="goal_position is"):
-        bus.write_checked(R.GOAL_POSITION, bad, 1)
+def test_a_bad_value_sends_nothing(bus: Bus) -> None:
+    for bad in (np.nan, np.inf, -np.inf, 1e9):
+        values = np.zeros(15)
+        values[7] = bad
+        with pytest.raises(InvalidInput, match="goal_position is"):
+            bus.write(R.GOAL_POSITION, values)
+        with pytest.raises(InvalidInput, match="goal_position is"):
+            bus.write_checked(R.GOAL_POSITION, bad, 1)
     assert bus.statistics.packets == 0
 
 

@@ -11,7 +11,7 @@ from dexctl.sim import BatchSimulator, Scene
 from hardware import registers as R  # noqa: N812
 from hardware.bus import Bus
 from hardware.emulator import Emulator
-from hardware.emulator.mujoco_hand import FARTHEST, MujocoHand
+from hardware.emulator.mujoco_hand import MujocoHand
 from hardware.units import ServoGains, SimGains, to_servo, to_sim
 
 GAINS = to_servo(SimGains(kp=3.0, kv=0.15, torque_limit=0.5, speed_limit=0.6))
@@ -116,11 +116,8 @@ def test_current_limit_and_torque_off_bound_the_torque() -> None:
     assert (hand.torque == 0).all()
 
 
-def test_the_object_of_an_empty_hand_does_not_fall_for_ever() -> None:
+def test_the_object_of_an_empty_hand_falls_and_is_no_fault() -> None:
     hand = MujocoHand(object="none")
-    for _ in range(8):
-        hand.advance(1.0)
-        at = hand._sim.read().object_position
-        assert at is not None and np.abs(at).max() < FARTHEST + 1
+    hand.advance(20.0)  # 2 km
     assert not hand._sim.diverged
     assert hand.touch()["object_position"] is None

@@ -1,53 +1,33 @@
-"""Set-points within range and speed."""
+"""Limits of a servo hand: on by default, and never off."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from dexctl.exceptions import InvalidInput
-from hardware.limits import Limits, limit_goal
-
-LOWER, UPPER = np.array([-1.0, -1.0, -1.0, -1.0]), np.ones(4)
+from hardware.limits import Limits
 
 
-def test_by_hand() -> None:
-    found = limit_goal(
-        np.array([0.012, 0.5, np.nan, 2.0]), np.array([0.0, 0.0, 0.3, 0.995]), LOWER, UPPER, 0.012
-    )
-    np.testing.assert_allclose(found.q_target, [0.012, 0.012, 0.3, 1.0])
-    assert found.too_fast.tolist() == [False, True, False, False]
-    assert found.out_of_range.tolist() == [False, False, False, True]
-    assert found.not_finite.tolist() == [False, False, True, False]
-    assert found.clamped.tolist() == [False, True, True, True]
-
-
-@given(
-    asked=arrays(float, 4, elements=st.floats(allow_nan=True, allow_infinity=True)),
-    previous=arrays(float, 4, elements=st.floats(-1.5, 1.5)),
-    step=st.floats(1e-4, 0.1),
-)
-def test_never_too_far_never_further_out(
-    asked: np.ndarray, previous: np.ndarray, step: float
-) -> None:
-    goal = limit_goal(asked, previous, LOWER, UPPER, step).q_target
-    assert np.isfinite(goal).all()
-    assert (np.abs(goal - previous) <= step * (1 + 1e-9) + 1e-12).all()
-    assert (goal <= np.maximum(UPPER, previous)).all()
-    assert (goal >= np.minimum(LOWER, previous)).all()
+def test_patience_by_hand() -> None:
+    found = Limits().patient(5.0)
+    assert (found.command_age, found.state_age, found.watchdog) == (0.5, 0.5, 0.5)
+    assert found.overruns == (0.25, 1.0)
+    assert (found.speed_limit, found.torque_limit) == (0.6, 0.5)
+    for factor in (0.9, 11.0, float("nan")):
+        with pytest.raises(InvalidInput, match=f"patience is {factor}; expected 1 to 10"):
+            Limits().patient(factor)
 
 
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"speed": 0.0}, "speed is 0.0"),
-        ({"speed": 4.0}, "speed is 4.0; expected at most 3.0"),
-        ({"torque": float("nan")}, "torque is nan"),
-        ({"torque": float("inf")}, "torque is inf"),
+        ({"speed_limit": 0.0}, "speed_limit is 0.0"),
+        ({"speed_limit": 4.0}, "speed_limit is 4.0; expected at most 3.0"),
+        ({"torque_limit": float("nan")}, "torque_limit is nan"),
+        ({"torque_limit": float("inf")}, "torque_limit is inf"),
+        ({"torque_limit": None}, "torque_limit is None"),
         ({"voltage": (12.0, 10.0)}, "voltage is"),
+        ({"overruns": (0.5, 0.2)}, "overruns is"),
         ({"command_age": -1.0}, "command_age is -1.0"),
     ],
 )

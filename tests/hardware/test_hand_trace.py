@@ -12,8 +12,8 @@ from hardware.emulator import Emulator
 from hardware.exceptions import BusError
 from hardware.hand import ServoHand
 from hardware.limits import Limits
-from hardware.machine import Torque
 from hardware.motions import Sine
+from hardware.state_machine import Torque
 from hardware.units import SimGains, to_servo
 
 # Real-time loops: on a machine that others keep busy their deadlines pass, as they should.

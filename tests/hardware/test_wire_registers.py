@@ -22,9 +22,8 @@ def test_no_two_share_a_byte() -> None:
         assert first.end <= second.address
 
 
-@pytest.mark.parametrize(
-    ("register", "address", "size"),
-    [
+def test_addresses_of_the_manual() -> None:
+    for register, address, size in (
         (R.MODEL, 0, 2),
         (R.OPERATING_MODE, 11, 1),
         (R.CURRENT_LIMIT, 38, 2),
@@ -37,10 +36,8 @@ def test_no_two_share_a_byte() -> None:
         (R.PRESENT_POSITION, 132, 4),
         (R.PRESENT_VOLTAGE, 144, 2),
         (R.PRESENT_TEMPERATURE, 146, 1),
-    ],
-)
-def test_addresses_of_the_manual(register: Register, address: int, size: int) -> None:
-    assert (register.address, register.size) == (address, size)
+    ):
+        assert (register.address, register.size) == (address, size), register.name
 
 
 def test_units_by_hand() -> None:

@@ -41,7 +41,7 @@ def test_rotation_moves_the_contacts_with_the_object(dex5, grasp_of, posture, se
     """Eq. dqrot: J dq = G^T do."""
     state = grasp_of(dex5, wiggled(posture, seed))
     config = InGraspManipulationConfig.thesis(twist=TURN, stability_gain=0.0, **EXACT)
-    change = config.build(dex5, control_period=PERIOD).act(state)
+    change = InGraspManipulation(dex5, config, control_period=PERIOD).act(state)
     G = grasp_map(state.contact_position, state.object_position)
     wanted = (G.T @ (np.array(TURN) * PERIOD)).reshape(5, 3)
     np.testing.assert_allclose(tip_motion(dex5, state, change), wanted, atol=1e-12)
@@ -54,7 +54,7 @@ def test_stability_presses_by_the_force_error(dex5, grasp_of, posture, seed):
     force = np.array([0.5, 2.0, 1.0, 0.0, 3.0])
     state = replace(state, contact_force=force)
     config = InGraspManipulationConfig.thesis(twist=STILL, **EXACT)
-    controller = config.build(dex5, control_period=PERIOD)
+    controller = InGraspManipulation(dex5, config, control_period=PERIOD)
     change = controller.act(state)
     best = stability_forces(
         state.contact_position, state.contact_normal, state.in_contact, state.object_position
@@ -95,10 +95,12 @@ def test_the_two_parts_add_up(dex5, grasp_of, posture):
     state = grasp_of(dex5, wiggled(posture, 1))
     config = InGraspManipulationConfig.thesis(twist=TURN, **EXACT)
     parts = [
-        replace(config, **change).build(dex5).act(state)
+        InGraspManipulation(dex5, replace(config, **change)).act(state)
         for change in ({"twist": STILL}, {"stability_gain": 0.0})
     ]
-    np.testing.assert_allclose(config.build(dex5).act(state), sum(parts), rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(
+        InGraspManipulation(dex5, config).act(state), sum(parts), rtol=1e-9, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("batch", [(), (3,)])
@@ -107,7 +109,7 @@ def test_fingers_out_of_touch_get_exactly_nothing(dex5, grasp_of, posture, batch
     state = grasp_of(dex5, wiggled(posture, 2, batch))
     shown = np.broadcast_to(touch, (*batch, 5)).copy()
     state = replace(state, in_contact=shown)
-    change = InGraspManipulationConfig.thesis().build(dex5).act(state)
+    change = InGraspManipulation(dex5, InGraspManipulationConfig.thesis()).act(state)
     for finger, touches in enumerate(touch):
         own = change[..., joints_of(dex5, finger)]
         assert own.any() if touches else not own.any()
@@ -161,7 +163,7 @@ def test_damping_bounds_the_motion_of_a_straight_finger(dex5, grasp_of, posture,
     config = InGraspManipulationConfig.thesis(
         twist=twist, stability_gain=0.0, damping=damping, max_joint_speed=1e3, max_lead=1e3
     )
-    change = config.build(dex5, control_period=PERIOD).act(state)
+    change = InGraspManipulation(dex5, config, control_period=PERIOD).act(state)
     assert np.linalg.norm(change[:3]) <= 0.1 * PERIOD / (2 * damping) + 1e-12
     assert np.isfinite(change).all()
 
@@ -211,7 +213,7 @@ def test_the_centroid_of_the_contacts_stands_in_for_an_untracked_object(dex5, gr
     untracked = replace(state, in_contact=touch, object_position=None, object_quaternion=None)
     tracked = replace(untracked, object_position=centre)
     for config in (InGraspManipulationConfig(), InGraspManipulationConfig.thesis()):
-        actions = [config.build(dex5).act(one) for one in (untracked, tracked)]
+        actions = [InGraspManipulation(dex5, config).act(one) for one in (untracked, tracked)]
         np.testing.assert_allclose(actions[0], actions[1], atol=1e-12)
 
 
@@ -223,7 +225,7 @@ def test_nothing_touches_and_nothing_is_tracked(dex5, grasp_of, posture):
     controller = InGraspManipulation(dex5)
     assert np.isfinite(controller.act(lost)).all()
     assert controller.diagnostics["held"] == -1
-    assert not InGraspManipulationConfig.thesis().build(dex5).act(lost).any()
+    assert not InGraspManipulation(dex5, InGraspManipulationConfig.thesis()).act(lost).any()
 
 
 def test_pushes_lean_towards_the_centre(dex5, grasp_of, posture):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dexctl import GraspState, HandModel
-from dexctl.igm import InGraspManipulationConfig
+from dexctl.igm import InGraspManipulation, InGraspManipulationConfig
 from dexctl.igm.inverse import ContactInverse, solve_symmetric3
 from dexctl.rotations import cross
 
@@ -52,7 +52,7 @@ def test_the_inverse_is_damped_least_squares(make_hand, bent, grasp_of, joints, 
     config = InGraspManipulationConfig.thesis(
         twist=TWIST, stability_gain=0.0, damping=DAMPING, max_joint_speed=1e3, max_lead=1e3
     )
-    change = config.build(hand, control_period=0.05).act(state)
+    change = InGraspManipulation(hand, config, control_period=0.05).act(state)
     for i in range(count):
         one = state[i] if batch else state
         expected = least_squares(hand, one, 0.05 * wanted_velocity(one))
@@ -69,7 +69,7 @@ def test_a_wrist_turns_with_the_fingers(make_hand, bent, grasp_of):
     config = InGraspManipulationConfig.thesis(
         twist=(0.0, 0.0, 0.0, *(0.4 * axis)), stability_gain=0.0, damping=1e-6
     )
-    change = config.build(hand, control_period=0.05).act(state)
+    change = InGraspManipulation(hand, config, control_period=0.05).act(state)
     wrist = hand.joint_names.index("wrist")
     np.testing.assert_allclose(change[wrist], 0.4 * 0.05, rtol=0.2)
     assert np.abs(np.delete(change, wrist)).max() < 0.5 * abs(change[wrist])
@@ -79,11 +79,11 @@ def test_a_wrist_turns_with_the_fingers(make_hand, bent, grasp_of):
 def test_all_settings_work_on_such_hands(make_hand, bent, grasp_of, joints, wrist):
     hand = make_hand(joints, wrist=wrist)
     state = grasp_of(hand, np.stack([bent(hand, seed) for seed in range(4)]))
-    controller = InGraspManipulationConfig().build(hand)
+    controller = InGraspManipulation(hand, InGraspManipulationConfig())
     together = controller.act(state)
     assert together.shape == (4, hand.nq) and together.any(axis=-1).all()
     for i in range(4):
-        alone = InGraspManipulationConfig().build(hand).act(state[i])
+        alone = InGraspManipulation(hand, InGraspManipulationConfig()).act(state[i])
         np.testing.assert_allclose(together[i], alone, atol=1e-8)
 
 
@@ -92,7 +92,7 @@ def test_a_finger_with_fewer_joints_than_it_needs_does_what_it_can(make_hand, be
     hand = make_hand((2, 2, 2))
     state = grasp_of(hand, bent(hand, 0))
     config = InGraspManipulationConfig.thesis(damping=1e-3)
-    change = config.build(hand).act(state)
+    change = InGraspManipulation(hand, config).act(state)
     assert np.isfinite(change).all() and np.abs(change).max() < 1.0
 
 

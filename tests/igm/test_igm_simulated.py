@@ -75,5 +75,5 @@ def test_regulation_brings_a_lifted_object_back(cylinder):
 
 def test_the_thesis_controller_turns_the_object_too(cylinder):
     sim = BatchSimulator(cylinder, 4)
-    found = run(InGraspManipulationConfig.thesis().build(cylinder.hand), sim, 2.0)
+    found = run(InGraspManipulation(cylinder.hand, InGraspManipulationConfig.thesis()), sim, 2.0)
     assert (found.rotation[-1] > 0.2).all()

@@ -15,9 +15,10 @@ import pytest
 import dexctl
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
+from learning import policies
 from learning.cli_evaluate import Evaluate
 from learning.envs import EnvConfig, Observation, SetPointAction, make_vector
-from learning.policy import PolicySpec, save_policy
+from learning.policies import PolicySpec
 
 
 def run(*arguments: str) -> int:
@@ -32,7 +33,7 @@ def policy(tmp_path: Path) -> Path:
     envs = make_vector(EnvConfig(object="cylinder", threads=1), 1, seed=0)
     path = tmp_path / "still.npz"
     spec = PolicySpec.of(envs.hand, envs.observation, envs.action, envs.config)
-    save_policy(path, [(np.zeros((15, 65)), np.zeros(15))], spec, {"seed": 7})
+    policies.save(path, [(np.zeros((15, 65)), np.zeros(15))], spec, {"seed": 7})
     return path
 
 
@@ -91,7 +92,7 @@ def policy_of(folder: Path, card: Mapping[str, Any] | None, **options: Any) -> s
     layers = [(np.zeros((hand.nq, observation.size)), np.zeros(hand.nq))]
     if card is None:
         card = {"trained": {"env": config.to_dict()}}
-    save_policy(path, layers, PolicySpec.of(hand, observation, action, config), card)
+    policies.save(path, layers, PolicySpec.of(hand, observation, action, config), card)
     return str(path)
 
 
@@ -144,7 +145,7 @@ def of_another_hand(folder: Path) -> str:
     parts = {"version": 1, "parts": ["q"], "scaled": False, "centre": [0, 0, 0]}
     action = {"max_speed": 2.0, "max_lead": 0.25, "control_period": 0.05}
     spec = PolicySpec("paw", ("a", "b"), ("tip",), parts, action)
-    save_policy(folder / "paw.npz", [(np.zeros((2, 2)), np.zeros(2))], spec, {})
+    policies.save(folder / "paw.npz", [(np.zeros((2, 2)), np.zeros(2))], spec, {})
     return str(folder / "paw.npz")
 
 

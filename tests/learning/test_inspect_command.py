@@ -19,7 +19,7 @@ pytest.importorskip("matplotlib")
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import DexctlError
-from learning import checkpoint
+from learning.agents.state import restore
 from learning.cli_inspect import Inspect
 from learning.envs import EnvConfig, Observation
 from learning.evaluate import Protocol
@@ -27,9 +27,10 @@ from learning.exploration import GuidanceConfig
 from learning.inspection import open_subject, roll_out
 from learning.inspection.rollout import states_of
 from learning.inspection.training import read_training
-from learning.policy import Policy, load_policy, save_policy
+from learning.policies import Policy
 from learning.settings import TrainConfig
 from learning.train import build, train
+from learning.training import checkpoint
 
 SECTIONS = (
     "What it does", "A typical episode", "How the fingers take turns", "How sound the grasp is",
@@ -118,7 +119,7 @@ def test_p_psi_is_what_training_would_find(run_folder: Path) -> None:
     config = read_training(run_folder).config
     agent = build(replace(config, device="cpu"))
     try:
-        checkpoint.restore(agent, checkpoint.read(run_folder))
+        restore(agent, checkpoint.read(run_folder / "checkpoint.bin"))
         row, episode = 3, 1
         state = _state(found.trace, row, episode)
         policy = subject.controller
@@ -208,12 +209,12 @@ def test_bad_input(run_folder: Path, tmp_path: Path) -> None:
     old = tmp_path / "old"
     shutil.copytree(run_folder, old)
     other = tmp_path / "other.npz"
-    policy = load_policy(run_folder / "policy.npz")
+    policy = policies.load(run_folder / "policy.npz")
     spec = policy.spec._replace(fingertip_names=("thumb",))
-    save_policy(other, policy.layers, spec)
+    policies.save(other, policy.layers, spec)
     import torch
 
-    torch.save({"format": 99}, old / checkpoint.NAME)
+    torch.save({"format": 1}, old / "checkpoint.bin")
     cases = [
         ((str(tmp_path / "none"),), "is not there, and no controller; expected a run folder"),
         (("coordinate",), r"or one of igm, switch, gait, coordinated, hold\b"),
@@ -221,7 +222,7 @@ def test_bad_input(run_folder: Path, tmp_path: Path) -> None:
         ((str(tmp_path / "none.npz"),), "no such file"),
         ((str(empty),), "is no run folder: there is no config.json in it"),
         ((str(early),), "has no policy.npz yet"),
-        ((str(old),), "has format 99; this version reads format 1"),
+        ((str(old),), "is of an earlier version, which this one cannot read"),
         ((str(run_folder), "--controller", "igm", "walk"), "unknown controller 'walk'; known: igm"),
         ((str(run_folder), "--object", "teapot"), "unknown object 'teapot'; known: .*cylinder"),
         ((str(other),), r"the policy is for the hand 'dex5' \(15 joints, 1 fingers\); got 'dex5'"),
@@ -253,7 +254,7 @@ def test_critics_that_see_more_than_the_policy(tmp_path: Path) -> None:
     found = roll_out(subject, "cylinder", Protocol(episodes=2, seconds=0.5))
     assert found.valued is not None
     agent = build(config)
-    agent.policy.load_state_dict(checkpoint.read(tmp_path / "run")["policy"])
+    agent.policy.load_state_dict(checkpoint.read(tmp_path / "run" / "checkpoint.bin")["policy"])
     assert isinstance(subject.controller, Policy)
     states = states_of(found.trace)
     own = subject.controller.observation
@@ -275,7 +276,7 @@ def test_critics_that_see_more_than_the_policy(tmp_path: Path) -> None:
 def test_a_run_without_checkpoint_or_with_an_old_log(run_folder: Path, tmp_path: Path) -> None:
     old = tmp_path / "old"
     shutil.copytree(run_folder, old)
-    (old / checkpoint.NAME).unlink()
+    (old / "checkpoint.bin").unlink()
     lines = (old / "progress.csv").read_text().splitlines()
     names = lines[0].split(",")
     kept = [i for i, name in enumerate(names) if not name.startswith(("p_", "share_"))]
@@ -286,7 +287,7 @@ def test_a_run_without_checkpoint_or_with_an_old_log(run_folder: Path, tmp_path:
     out = tmp_path / "out"
     assert run(str(old), "--episodes", "1", "--seconds", "0.5", "--out", str(out)) == 0
     page = (out / "report.html").read_text()
-    assert "no checkpoint.pt" in page and "Over training" in check_page(page)
+    assert "no checkpoint.bin" in page and "Over training" in check_page(page)
     (old / "progress.csv").write_text("step,seconds\nx,1\n")
     with pytest.raises(DexctlError, match=r"progress\.csv is not a training log"):
         read_training(old)

@@ -17,14 +17,14 @@ pytest.importorskip("stable_baselines3")
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput
-from learning import checkpoint, load_policy
+from learning import load_policy
 from learning.cli_sweep import Sweep
 from learning.sweep.cluster import ClusterError, RayPool, run_here
 from learning.sweep.config import SweepConfig
 from learning.sweep.jobs import Job, jobs, outcome
-from learning.sweep.lock import locked
 from learning.sweep.process import LocalPool
 from learning.train import read_config
+from learning.training.run_folder import locked
 
 ROOT = Path(__file__).parents[2]
 TEXT = """
@@ -113,7 +113,7 @@ def test_killed_and_started_again(
         wait_for(rl, sweep)
         with pytest.raises(InvalidInput, match="another process is at work in"):
             run(str(file), "--out", str(out))
-        wait_for(rl / checkpoint.NAME, sweep)
+        wait_for(rl / "checkpoint.bin", sweep)
     finally:
         sweep.kill()
         sweep.communicate()

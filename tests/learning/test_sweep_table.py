@@ -17,7 +17,6 @@ from dexctl.exceptions import InvalidInput
 from learning.cli_sweep import Sweep
 from learning.cli_sweep_display import line
 from learning.cli_sweep_figure import draw
-from learning.run_log import COLUMNS
 from learning.sweep.config import Cell, SweepConfig
 from learning.sweep.curves import Log, over_seeds, read_log
 from learning.sweep.jobs import outcome, write_failure, write_result
@@ -25,6 +24,7 @@ from learning.sweep.results import collect, write_csv
 from learning.sweep.run import prepare
 from learning.sweep.table import caption, markdown_table
 from learning.sweep.watch import Progress, of_rows
+from learning.training.log import COLUMNS
 
 GIVEN: dict[str, Any] = {
     "name": "by hand",

@@ -63,13 +63,12 @@ DOORS = {
     # environments and trained policies run without torch
     "torch": [
         "learning/agents/",
-        "learning/checkpoint.py",
         "learning/export.py",
-        "learning/run_log.py",
         "learning/train.py",
+        "learning/training/",
     ],
     "gymnasium": ["learning/__init__.py", "learning/envs/", "learning/agents/"],
-    "stable_baselines3": ["learning/agents/", "learning/checkpoint.py", "learning/train.py"],
+    "stable_baselines3": ["learning/agents/", "learning/train.py"],
     "ray": ["learning/sweep/cluster.py"],
     "dynamixel_sdk": ["hardware/"],
     "serial": ["hardware/"],

@@ -135,6 +135,35 @@ def test_an_object_on_the_palm_is_other_contact_and_weighs_what_it_should() -> N
         sim.set_grasp(wide_open, wide_open, lying, 2 * upright)
 
 
+def test_an_object_is_placed_at_rest_and_nothing_else_changes(cube: Scene) -> None:
+    """Of two groups of two, the first of each is placed; the other goes on as if nothing was."""
+    groups = [(cube, 2), (cube, 2)]
+    sim, witness = (GroupedSimulator(groups, threads=1, seed=3) for _ in range(2))
+    drive(sim, 3)
+    drive(witness, 3)
+    placed = np.array([True, False, True, False])
+    before = sim.read()
+    assert before.object_position is not None
+    position = before.object_position + np.array([0.0, 0.0, 0.3])
+    turned = np.tile([0.5, 0.5, 0.5, 0.5], (4, 1))
+    sim.place_object(position, turned, placed)
+    after = sim.read()
+    for name in set(before.__dataclass_fields__) - {"object_position", "object_quaternion"}:
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name), err_msg=name)
+    np.testing.assert_array_equal(after.object_position[placed], position[placed])  # type: ignore[index]
+    np.testing.assert_array_equal(after.object_quaternion[placed], turned[placed])  # type: ignore[index]
+    assert not sim.object_angular_velocity[placed].any()
+    drive(sim, 1, 3)
+    drive(witness, 1, 3)
+    now, other = sim.read(), witness.read()
+    assert_same(now[~placed], other[~placed])
+    # ten steps of 5 ms from rest: g h^2 (1 + 2 + ... + 10)
+    fallen = position[placed] - now.object_position[placed]  # type: ignore[index]
+    np.testing.assert_allclose(fallen, np.tile([0.0, 0.0, 9.81 * 0.005**2 * 55], (2, 1)), atol=1e-6)
+    with pytest.raises(InvalidInput, match="object_quaternion has norms"):
+        sim.place_object(position, 2 * turned)
+
+
 def test_parameters_of_each_environment(cube: Scene) -> None:
     sim = BatchSimulator(cube, 3, seed=0)
     plain = BatchSimulator(cube, 3, seed=0)

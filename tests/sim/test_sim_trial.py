@@ -7,7 +7,7 @@ import pytest
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.rotations import unit_axis
+from dexctl.validation import unit_axis
 from dexctl.sim import BatchSimulator, Scene, SceneConfig, Sensing, Simulation, run
 from dexctl.sim.trial import rotation_about
 from dexctl.state import Floats, GraspState

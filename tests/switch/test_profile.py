@@ -199,13 +199,13 @@ def test_masked_reset_ends_and_reseeds_only_those():
     np.testing.assert_array_equal(profile.act(state)[1], first[1])
 
 
-def test_save_and_restore_replay():
+def test_a_loaded_state_replays():
     state = grasp((2,))
     profile = SwitchProfile(HAND)
     profile.reset(seed=1)
     profile.begin(state)
     run(profile, state, 7)
-    saved = profile.save()
+    saved = profile.state_dict()
 
     def go():
         actions = []
@@ -215,7 +215,7 @@ def test_save_and_restore_replay():
         return np.array(actions)
 
     first = go()
-    profile.restore(saved)
+    profile.load_state_dict(saved)
     np.testing.assert_array_equal(go(), first)
 
 

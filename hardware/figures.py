@@ -1,0 +1,81 @@
+"""Figures of merit of a run's log: numbers, and the words in which people read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dexctl.state import Bools, Floats
+from hardware.log import Log
+
+_WORDS = {
+    "seconds": ("time logged", "s", 1.0),
+    "rate_hz": ("control rate", "Hz", 1.0),
+    "tracking_rms_rad": ("set-points less joints, RMS", "rad", 1.0),
+    "tracking_worst_rad": ("set-points less joints, worst", "rad", 1.0),
+    "torque_rms_nm": ("torque, RMS", "N m", 1.0),
+    "torque_worst_nm": ("torque, worst", "N m", 1.0),
+    "late_over_1ms": ("ticks late by more than 1 ms", "%", 100.0),
+    "lateness_p99_s": ("lateness of ticks, p99", "ms", 1e3),
+    "stale_joints": ("joints read in vain", "%", 100.0),
+    "mean_contacts": ("fingertips in touch, mean", "", 1.0),
+    "rotation_rad": ("object's turn about z", "rad", 1.0),
+    "object_lost_at_s": ("object lost at", "s", 1.0),
+}
+"""Of each figure: what people read, unit, and how many of the unit are 1 of the figure's own."""
+
+
+def figures_of_merit(log: Log) -> dict[str, float]:
+    """Numbers of a log, with units in their names; {} of a log without ticks."""
+    ticks = log.ticks
+    if len(ticks.get("time", ())) < 2:
+        return {}
+    time, error = ticks["time"], ticks["q_target"] - ticks["q"]
+    found = {
+        "seconds": float(time[-1] - time[0]),
+        "rate_hz": float((len(time) - 1) / (time[-1] - time[0])),
+        "tracking_rms_rad": float(np.sqrt(np.nanmean(error**2))),
+        "tracking_worst_rad": float(np.nanmax(np.abs(error))),
+        "torque_rms_nm": float(np.sqrt(np.nanmean(ticks["torque"] ** 2))),
+        "torque_worst_nm": float(np.nanmax(np.abs(ticks["torque"]))),
+        "late_over_1ms": float(np.nanmean(ticks["lateness"] > 1e-3)),
+        "lateness_p99_s": float(np.nanpercentile(ticks["lateness"], 99)),
+        "stale_joints": float(1.0 - np.nanmean(ticks["fresh"])),
+        "mean_contacts": float(np.nanmean(ticks["in_contact"].sum(axis=1))),
+    }
+    turn = object_turn(log)
+    if turn is not None:
+        angle, held = turn
+        found["rotation_rad"] = float(angle[-1])
+        if not held[-1]:
+            found["object_lost_at_s"] = float(time[held.sum()])
+    return found
+
+
+def in_words(figures: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Figures of merit as rows of what and how much, for people."""
+    rows = []
+    for name, value in figures.items():
+        words, unit, scale = _WORDS[name]
+        rows.append((words, f"{scale * value:.4g} {unit}".rstrip()))
+    return rows
+
+
+def object_turn(log: Log) -> tuple[Floats, Bools] | None:
+    """How far the object is turned about z, and whether it is held, at each tick.
+
+    ``(T,)`` [rad] since the first tick, and ``(T,)`` bool: False once the object is farther from
+    where it began than `dexctl.sim.trial.DROP_DISTANCE`; from there on the angle stands still. None
+    where nothing tracks the object, as on a real hand.
+    """
+    from dexctl.sim.trial import DROP_DISTANCE, rotation_about
+
+    none = np.empty(0)
+    position = log.ticks.get("object_position", none)
+    quaternion = log.ticks.get("object_quaternion", none)
+    if any(values.dtype == object or values.ndim != 2 for values in (position, quaternion)):
+        return None
+    away = np.linalg.norm(position - position[0], axis=1)
+    held = np.logical_and.accumulate(away <= DROP_DISTANCE)
+    return rotation_about(quaternion, held=held), held

@@ -1,0 +1,1 @@
+"""The commands of learning: train, evaluate, inspect and sweep."""

@@ -1,0 +1,154 @@
+"""TrainConfig: everything that decides what a training run does, and the recipes by name.
+
+The defaults are the thesis's method, with numbers of ours where it gives none. "fast" is what made
+policies gait within a million steps; docs/learning.md says what each part of it brings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+from dexctl import controllers
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.settings import NESTED, changed
+from dexctl.validation import check_whole
+from learning.algorithms.config import OffPolicyConfig, PPOConfig, SACConfig, TD3Config
+from learning.envs.config import EnvConfig
+from learning.exploration.config import GuidanceConfig, check_controllers
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Settings of a training run; two runs of one configuration give the same bits.
+
+    (On one machine, with the same versions and the same number of threads.) The thesis does not
+    publish network sizes, rates and batch sizes: these are ours.
+
+    Raises:
+        UnknownName, InvalidInput: a setting is wrong; the message names it.
+    """
+
+    env: EnvConfig = EnvConfig()
+    guidance: Annotated[GuidanceConfig, NESTED] = GuidanceConfig()
+    controllers: tuple[str, ...] = ("gait",)
+    """Controllers that guide, one or several; not used by the method rl."""
+    algorithm: Literal["sac", "td3", "ppo"] = "sac"
+    """Who learns: sac (with entropy coefficient 0, the thesis's), td3, or ppo (method rl only)."""
+    sac: SACConfig = SACConfig()
+    td3: TD3Config = TD3Config()
+    ppo: PPOConfig = PPOConfig()
+    steps: int = 1_000_000
+    """Environment steps, of all environments together."""
+    seed: int = 0
+    """Of everything; the same seed and settings give the same policy on the same machine."""
+    num_envs: int = 128
+    """Environments stepped together."""
+    overlap: bool = True
+    """Let the environments step while the updates run; a policy then acts that is the updates of
+    one step older."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Of the updates; auto takes a GPU where there is one."""
+    torch_threads: int = 1
+    """Threads of the updates."""
+    log_every: int = 10_000
+    """Steps between two rows of progress.csv and TensorBoard."""
+    checkpoint_every: int = 100_000
+    """Steps between two checkpoints."""
+
+    def __post_init__(self) -> None:
+        for name in self.controllers:
+            controllers.entry(name)
+        check_controllers(self.guidance.method, self.controllers)
+        check_whole(
+            self,
+            steps=1,
+            seed=0,
+            num_envs=len(self.env.scene.object),
+            torch_threads=1,
+            log_every=1,
+            checkpoint_every=1,
+        )
+        if self.algorithm == "ppo" and self.guidance.method != "rl":
+            raise InvalidInput(
+                f"algorithm is 'ppo' and method {self.guidance.method!r}; ppo learns from its own "
+                "actions only: expected method 'rl', or the algorithm sac or td3"
+            )
+        own = self.learner
+        if isinstance(own, OffPolicyConfig) and own.buffer_size < max(
+            self.num_envs, own.batch_size
+        ):
+            raise InvalidInput(
+                f"buffer_size is {own.buffer_size}; expected at least one batch of "
+                f"{own.batch_size} and one step of {self.num_envs} environments"
+            )
+
+    @property
+    def learner(self) -> SACConfig | TD3Config | PPOConfig:
+        """The settings of the algorithm that is chosen."""
+        return {"sac": self.sac, "td3": self.td3, "ppo": self.ppo}[self.algorithm]
+
+    @property
+    def guides(self) -> tuple[str, ...]:
+        """Names of the controllers that guide the run; none for the method rl."""
+        return () if self.guidance.method == "rl" else self.controllers
+
+
+_QUICK = {
+    "layer_norm": True,
+    "n_step": 5,
+    "learning_rate": 1e-3,
+    "learning_rate_end": 1e-4,
+    "policy_average": 0.999,
+    "tau": 0.02,
+}
+
+
+def _fast() -> TrainConfig:
+    base = TrainConfig()
+    return replace(
+        base,
+        env=replace(base.env, scaled=True, critic_parts=("object_position", "object_quaternion")),
+        guidance=replace(
+            base.guidance,
+            cloned="visited",
+            cloning="squared",
+            cloning_weight="equal",
+            beta=10.0,
+            hard_stop=500_000,
+        ),
+        sac=changed(base.sac, _QUICK),
+        td3=changed(base.td3, _QUICK),
+    )
+
+
+RECIPES: Mapping[str, Callable[[], TrainConfig]] = {"thesis": TrainConfig, "fast": _fast}
+
+
+def recipe(name: str, method: str | None = None) -> TrainConfig:
+    """The configuration of the recipe ``name``.
+
+    Args:
+        name: one of `RECIPES`.
+        method: of the guidance; None is the recipe's own. Where it clones nothing, the recipe's
+            settings of cloning are left as they are by default.
+
+    Raises:
+        UnknownName: no such recipe, or no such method.
+    """
+    if name not in RECIPES:
+        raise UnknownName("recipe", name, RECIPES)
+    made = RECIPES[name]()
+    if method is None:
+        return made
+    guidance, usual = replace(made.guidance, method=method), GuidanceConfig()
+    if not guidance.imitates:
+        guidance = replace(
+            guidance,
+            cloned=usual.cloned,
+            cloning=usual.cloning,
+            cloning_weight=usual.cloning_weight,
+            beta=usual.beta,
+        )
+    return replace(made, guidance=guidance)

@@ -1,0 +1,103 @@
+"""GuidanceConfig: how controllers guide the exploration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from dexctl.exceptions import InvalidInput
+from dexctl.validation import check_name, check_numbers, check_whole
+
+Method = Literal["rl", "rl+bc", "fge", "vge", "vge+bc"]
+METHODS: tuple[str, ...] = get_args(Method)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuidanceConfig:
+    """How the controllers guide the exploration.
+
+    Raises:
+        UnknownName, InvalidInput: a setting is wrong; the message names it.
+    """
+
+    method: Method = "vge"
+    """rl: no controllers. rl+bc: they label the states that the policy visits. fge: chosen on a
+    fixed schedule (fixed guided exploration). vge: chosen by value (value guided exploration).
+    vge+bc: and the policy imitates what they did."""
+    horizon: int | None = None
+    """Steps that a choice of who acts holds for (H); none: as long as the controller's own motion,
+    and as the longest of them for the policy."""
+    hard_stop: int = 4_000_000
+    """Controllers are asked no more from this environment step on; 4 million in the thesis."""
+    temperature: float = 1.0
+    """Of VGE's choice by value; 1 is the thesis's."""
+    fixed_start: float = 1.0
+    """FGE's share of the controllers at step 0; it falls linearly to 0 at the hard stop. The thesis
+    gives no numbers."""
+    beta: float = 0.1
+    """Weight of behaviour cloning at step 0; it falls linearly."""
+    beta_end: float = 0.0
+    """What it falls to; 0 in the thesis."""
+    beta_stop: int | None = None
+    """The step at which it is there; none: the hard stop."""
+    cloned: Literal["acted", "visited"] | None = None
+    """What the methods with bc imitate: acted, the controllers' actions in the steps that they did
+    (the thesis's VGE+BC); visited, what the first controller would do in every state that comes
+    about, whoever acts (as in dataset aggregation; Ross et al. 2011), the only one that RL+BC
+    knows; none: the method's."""
+    cloning: Literal["likelihood", "squared"] = "likelihood"
+    """likelihood, the thesis's; or the squared distance between the policy's mean action and the
+    controller's, the only one that TD3 knows."""
+    cloning_weight: Literal["value", "equal", "better"] = "value"
+    """Of each imitated action: value, max(Q, 0) as in the thesis; equal, 1, with the actor's own
+    loss divided by the mean |Q| (Fujimoto and Gu 2021), so that beta means the same however large
+    values are; better, 1 where the critics prefer the controller's action to the policy's, else 0
+    (Nair et al. 2018)."""
+
+    def __post_init__(self) -> None:
+        for name, known in (
+            ("method", METHODS),
+            ("cloned", (None, "acted", "visited")),
+            ("cloning", ("likelihood", "squared")),
+            ("cloning_weight", ("value", "equal", "better")),
+        ):
+            check_name(name, getattr(self, name), known)
+        if self.cloned == "acted" and self.method == "rl+bc":
+            raise InvalidInput("cloned is 'acted', and no controller acts in the method 'rl+bc'")
+        if self.horizon is not None:
+            check_whole(self, horizon=1)
+        if self.beta_stop is not None:
+            check_whole(self, beta_stop=1)
+        check_whole(self, hard_stop=0)
+        check_numbers(
+            self,
+            positive=("temperature",),
+            not_negative=("beta", "beta_end"),
+            fractions=("fixed_start",),
+        )
+
+    @property
+    def labels_all(self) -> bool:
+        """Whether every state is labelled with what the first controller would do."""
+        return self.imitates and (self.method == "rl+bc" or self.cloned == "visited")
+
+    @property
+    def follows(self) -> bool:
+        """Whether controllers act."""
+        return self.method in ("fge", "vge", "vge+bc")
+
+    @property
+    def imitates(self) -> bool:
+        """Whether the policy is cloned from them."""
+        return self.method.endswith("+bc")
+
+
+def check_controllers(method: str, names: Sequence[str]) -> None:
+    """Raise InvalidInput where a method has more or fewer controllers than it can use."""
+    if method != "rl" and not names:
+        raise InvalidInput(f"method {method!r} got no controllers; expected one or more")
+    if method == "rl+bc" and len(names) > 1:
+        raise InvalidInput(
+            f"method 'rl+bc' has the controllers {', '.join(names)} at once; it takes one"
+        )

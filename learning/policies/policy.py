@@ -1,0 +1,205 @@
+"""Policy: a trained policy as a controller that needs numpy only, and what it is for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.controller import Controller, check_action, check_state
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.files import aside, write_text
+from dexctl.hand import HandModel
+from dexctl.state import Floats, GraspState
+from learning.envs.action import SetPointAction
+from learning.envs.observation import Observation, check_parts
+
+if TYPE_CHECKING:
+    from learning.envs.config import EnvConfig
+
+
+def _relu(x: Floats) -> Floats:
+    return np.maximum(x, 0.0)
+
+
+def _elu(x: Floats) -> Floats:
+    return np.where(x > 0, x, np.expm1(np.minimum(x, 0.0)))
+
+
+# named functions, so that a policy can be pickled, as other controllers can
+ACTIVATIONS: Mapping[str, Callable[[Floats], Floats]] = {
+    "relu": _relu,
+    "tanh": np.tanh,
+    "elu": _elu,
+}
+
+
+class Layer(NamedTuple):
+    """One affine layer, ``x -> x @ weight.T + bias``, with torch's shapes.
+
+    Attributes:
+        weight: ``(outputs, inputs)``.
+        bias: ``(outputs,)``.
+    """
+
+    weight: Floats
+    bias: Floats
+
+
+@final
+class PolicySpec(NamedTuple):
+    """What a policy's weights are for.
+
+    Attributes:
+        hand: name of the hand.
+        joint_names, fingertip_names: of the hand, in the order that the numbers come in.
+        observation: see `learning.envs.Observation.to_dict`.
+        action: see `learning.envs.SetPointAction.to_dict`.
+        activation: between the layers; behind the last one is tanh.
+    """
+
+    hand: str
+    joint_names: tuple[str, ...]
+    fingertip_names: tuple[str, ...]
+    observation: Mapping[str, Any]
+    action: Mapping[str, Any]
+    activation: str = "relu"
+
+    @classmethod
+    def of(
+        cls,
+        hand: HandModel,
+        observation: Observation,
+        action: SetPointAction,
+        name: str,
+        activation: str = "relu",
+    ) -> PolicySpec:
+        """The specification of a policy that is trained with the hand of this name."""
+        return cls(
+            name,
+            tuple(hand.joint_names),
+            tuple(hand.fingertip_names),
+            observation.to_dict(),
+            action.to_dict(),
+            activation,
+        )
+
+    def check_hand(self, hand: HandModel) -> None:
+        """Raise InvalidInput where ``hand`` is not the one that the policy is for."""
+        own = (self.joint_names, self.fingertip_names)
+        if own != (tuple(hand.joint_names), tuple(hand.fingertip_names)):
+            raise InvalidInput(
+                f"the policy is for the hand {self.hand!r} ({len(self.joint_names)} joints, "
+                f"{len(self.fingertip_names)} fingers); got {hand.path.stem!r} ({hand.nq} joints, "
+                f"{hand.n_fingers} fingers)"
+            )
+
+    def check_parts(self, parts: Sequence[str]) -> None:
+        """Raise InvalidInput where the policy was trained with other observation parts."""
+        trained = tuple(self.observation["parts"])
+        if check_parts(parts) != trained:
+            raise InvalidInput(
+                f"the policy was trained with the observation parts {', '.join(trained)}; "
+                f"got {', '.join(parts)}"
+            )
+
+
+@final
+class Policy(Controller):
+    """A trained policy, deterministic: tanh of a multilayer perceptron of the observation.
+
+    It observes the state that it is given as it is, so that it runs on any plant.
+
+    Args:
+        hand: the hand, the same as in training.
+        layers: the perceptron.
+        spec: what the layers are for.
+        card: what trained them.
+
+    Attributes:
+        spec, card: as given.
+        observation, action: how observations and set-point changes are made.
+
+    Raises:
+        InvalidInput: the layers do not fit the observation, the hand or each other.
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        layers: Sequence[Layer],
+        spec: PolicySpec,
+        card: Mapping[str, Any] | None = None,
+    ) -> None:
+        super().__init__(hand, control_period=spec.action["control_period"])
+        spec.check_hand(hand)
+        if spec.activation not in ACTIVATIONS:
+            raise UnknownName("activation", spec.activation, ACTIVATIONS)
+        self.spec = spec
+        self.card = dict(card or {})
+        self.observation = Observation.from_dict(hand, spec.observation)
+        self.action = SetPointAction(hand, **spec.action)
+        self.layers = check_layers(layers, self.observation.size, hand.nq)
+        self._activation = ACTIVATIONS[spec.activation]
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        """Nothing to forget: the policy has no memory."""
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed()
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        self._parts(saved)
+
+    def predict(self, observation: ArrayLike) -> Floats:
+        """The action ``(..., d)`` in [-1, 1] for observations ``(..., k)``."""
+        x = np.asarray(observation, float)
+        for i, layer in enumerate(self.layers):
+            x = x @ layer.weight.T + layer.bias
+            x = self._activation(x) if i + 1 < len(self.layers) else np.tanh(x)
+        return x
+
+    def act(self, state: GraspState) -> Floats:
+        check_state(self.hand, state)
+        action = self.predict(self.observation(state))
+        self._diagnostics = {"action": action}
+        return check_action(self.action.limited(state, self.action.to_change(action)))
+
+
+def check_layers(
+    layers: Sequence[Layer], inputs: int | None = None, outputs: int | None = None
+) -> tuple[Layer, ...]:
+    """The layers, where they are real, finite and fit together.
+
+    Args:
+        layers: from the first to the last.
+        inputs, outputs: of all of them together; None is any number.
+
+    Raises:
+        InvalidInput: they do not.
+    """
+    if not layers:
+        raise InvalidInput("the policy has no layers; expected at least one")
+    width = inputs
+    for i, (weight, bias) in enumerate(layers):
+        if weight.dtype.kind != "f" or bias.dtype.kind != "f":
+            raise InvalidInput(
+                f"layer {i} of the policy has a weight of {weight.dtype} and a bias of "
+                f"{bias.dtype}; expected floats"
+            )
+        if width is None and weight.ndim:
+            width = weight.shape[-1]
+        fits = weight.ndim == 2 and weight.shape[1] == width and bias.shape == weight.shape[:1]
+        if not (fits and weight.size):
+            raise InvalidInput(
+                f"layer {i} of the policy has weight {weight.shape} and bias {bias.shape}; "
+                f"expected (n, {width}) and (n,)"
+            )
+        if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+            raise InvalidInput(f"layer {i} of the policy has numbers that are not finite")
+        width = weight.shape[0]
+    if outputs is not None and width != outputs:
+        raise InvalidInput(f"the policy has {width} outputs; expected {outputs}, one for a joint")
+    return tuple(layers)

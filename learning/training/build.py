@@ -1,0 +1,54 @@
+"""From a configuration to what trains: environments, guide and algorithm."""
+
+from __future__ import annotations
+
+import torch
+
+from dexctl import controllers
+from dexctl.exceptions import InvalidInput
+from learning.algorithms import Algorithm, Cloning, make
+from learning.config import TrainConfig
+from learning.envs.vector import ManipulationVectorEnv, make_vector
+from learning.exploration.guide import Guide
+
+
+def build_env(config: TrainConfig) -> ManipulationVectorEnv:
+    """The environments, as they are before the first step."""
+    return make_vector(config.env, config.num_envs, config.seed)
+
+
+def build_guide(config: TrainConfig, env: ManipulationVectorEnv) -> Guide:
+    """Who acts in them."""
+    period, axis = env.simulation.control_period, config.env.task.direction
+    made = [
+        controllers.make(name, env.hand, control_period=period, axis=axis) for name in config.guides
+    ]
+    return Guide(env, made, config.guidance, config.seed)
+
+
+def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorithm:
+    """Who learns.
+
+    Raises:
+        InvalidInput: there is no such device here.
+    """
+    guidance = config.guidance
+    return make(
+        config.learner,
+        groups=env.groups,
+        observation_size=int(env.single_observation_space.shape[0]),  # type: ignore[index]
+        action_size=env.hand.nq,
+        num_envs=env.num_envs,
+        labels=guidance.labels_all,
+        cloning=Cloning(kind=guidance.cloning, weight=guidance.cloning_weight),
+        seed=config.seed,
+        device=device(config.device),
+    )
+
+
+def device(name: str) -> str:
+    """The torch device of that name; "auto" is a GPU where there is one."""
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise InvalidInput("device is 'cuda', and torch finds no GPU here; expected cpu or auto")
+    return ("cuda" if available else "cpu") if name == "auto" else name

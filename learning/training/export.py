@@ -1,0 +1,39 @@
+"""From a trained algorithm to its policy file, which runs without torch."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+from dexctl.settings import to_plain
+from learning.algorithms.base import Algorithm
+from learning.config import TrainConfig
+from learning.envs.vector import ManipulationVectorEnv
+from learning.policies import PolicySpec, save
+
+_VERSIONS = ("numpy", "torch", "mujoco")
+
+
+def export_policy(
+    algorithm: Algorithm,
+    env: ManipulationVectorEnv,
+    config: TrainConfig,
+    path: Path,
+    figures: Mapping[str, float],
+) -> None:
+    """Write the algorithm's policy and its card."""
+    spec = PolicySpec.of(
+        env.hand, env.observation, env.action, config.env.scene.hand, algorithm.activation
+    )
+    card = {
+        "trained": to_plain(config),
+        "steps": algorithm.steps,
+        "figures": dict(figures),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in _VERSIONS},
+        },
+    }
+    save(path, algorithm.policy_layers(), spec, card)

@@ -1,0 +1,230 @@
+"""Run folders: what a run is kept in, and the only place that knows the names of its files.
+
+A run folder holds ``config.json``, ``progress.csv`` with TensorBoard's files in ``tensorboard``,
+``checkpoint.bin``, and ``policy.npz`` with its card ``policy.json``. Everything in it is written
+aside and renamed, so a run that is killed at any moment leaves whole files, and at most what it was
+writing beside them.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+import re
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dexctl.exceptions import InvalidInput
+from dexctl.files import write_text
+from learning.training import checkpoint
+from learning.training.checkpoint import CheckpointError
+from learning.training.log import read_rows
+
+if TYPE_CHECKING:
+    from learning.config import TrainConfig
+
+_LOCK = ".lock"
+_EARLIER_CHECKPOINT = "checkpoint.pt"
+_PART = re.compile(r"\..+\.(\d+)\.part(\.[^.]+)?")
+"""Names that `dexctl.files.aside` writes to, with the number of the process."""
+
+
+class RunFolder:
+    """The folder of one run.
+
+    Nothing is read or made before a method is called that says so.
+
+    Args:
+        path: of the folder, which need not be there yet.
+
+    Attributes:
+        config_path, progress_path, tensorboard_path, checkpoint_path, policy_path: where the
+            parts of the run are, or will be.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config_path = path / "config.json"
+        self.progress_path = path / "progress.csv"
+        self.tensorboard_path = path / "tensorboard"
+        self.checkpoint_path = path / "checkpoint.bin"
+        self.policy_path = path / "policy.npz"
+        self._held = False
+
+    @staticmethod
+    def is_run(path: Path) -> bool:
+        """Whether a folder holds a run, however far it came."""
+        return RunFolder(path).config_path.exists()
+
+    def create(self, config: TrainConfig | Mapping[str, Any]) -> None:
+        """Make the folder of a new run, with its configuration.
+
+        Raises:
+            InvalidInput: it holds a run already.
+        """
+        if self.config_path.exists() or self.checkpoint_path.exists():
+            raise InvalidInput(
+                f"{self.path} holds a run already; resume it, or take another folder"
+            )
+        if not isinstance(config, Mapping):
+            from dexctl.settings import to_plain
+
+            config = to_plain(config)
+        self._make()
+        write_text(self.config_path, json.dumps(config, indent=2) + "\n")
+
+    def config(self) -> TrainConfig:
+        """The configuration of the run.
+
+        Raises:
+            InvalidInput: there is none, or it is wrong.
+        """
+        from dexctl.settings import from_plain
+        from learning.config import TrainConfig
+
+        return from_plain(TrainConfig, self.config_values(), str(self.config_path))
+
+    def config_values(self) -> dict[str, Any]:
+        """The configuration of the run as JSON has it, whatever its settings are.
+
+        Raises:
+            InvalidInput: there is none, or it is no JSON object.
+        """
+        path = self.config_path
+        try:
+            values = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InvalidInput(f"there is no run in {self.path}: no {path.name}") from None
+        except OSError as error:
+            raise InvalidInput(f"cannot read {path}: {error.strerror or error}") from None
+        except UnicodeDecodeError as error:
+            raise InvalidInput(f"{path} is not UTF-8: byte {error.start}") from None
+        except ValueError as error:
+            raise InvalidInput(f"{path} is not JSON: {error}") from None
+        except RecursionError:
+            raise InvalidInput(f"{path} is nested too deeply for a configuration") from None
+        if not isinstance(values, dict):
+            raise InvalidInput(f"{path} is not a JSON object: it is {type(values).__name__}")
+        return values
+
+    def write_checkpoint(self, content: Mapping[str, Any]) -> None:
+        """Put a checkpoint in place of the one before; see `checkpoint.write`.
+
+        Raises:
+            CheckpointError: it cannot be written; the one before is left.
+        """
+        checkpoint.write(self.checkpoint_path, content)
+
+    def read_checkpoint(self) -> dict[str, Any] | None:
+        """The content of the last checkpoint; None where there is none yet.
+
+        Raises:
+            CheckpointError: it is damaged, or of another version.
+        """
+        if self.checkpoint_path.exists():
+            return checkpoint.read(self.checkpoint_path)
+        earlier = self.path / _EARLIER_CHECKPOINT
+        if earlier.exists():
+            raise CheckpointError(
+                f"{earlier} is of an earlier version, which this one cannot read; begin anew"
+            )
+        return None
+
+    def progress(self) -> list[dict[str, float]]:
+        """The rows of the log, NaN where a row has no number; none where there is no log yet.
+
+        A row that is being written, or that a kill cut short, is left out. The columns are
+        `learning.training.log.columns`.
+
+        Raises:
+            InvalidInput: the file is no log.
+        """
+        rows = read_rows(self.progress_path)
+        return [{name: float(v) if v else math.nan for name, v in row.items()} for row in rows]
+
+    @contextmanager
+    def lock(self, wait: float = 0.0) -> Iterator[None]:
+        """Hold the folder in this block, so that no other process works in it; made if need be.
+
+        Args:
+            wait: for whom holds it to let go [s].
+
+        Raises:
+            InvalidInput: somebody else holds it.
+        """
+        self._make()
+        with locked(self.path, wait):
+            self._held = True
+            try:
+                yield
+            finally:
+                self._held = False
+
+    def clean(self) -> None:
+        """Remove what killed runs were writing.
+
+        That is all of it while this holds the folder's lock; otherwise only what is of processes
+        that are no more.
+        """
+        for path in self.path.iterdir() if self.path.is_dir() else ():
+            part = _PART.fullmatch(path.name)
+            if part is not None and (self._held or not _alive(int(part[1]))):
+                path.unlink(missing_ok=True)
+
+    def _make(self) -> None:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidInput(f"cannot make the folder {self.path}: {error.strerror}") from None
+
+
+_HERE: set[Path] = set()  # folders that this process holds
+
+
+@contextmanager
+def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
+    """Hold any ``folder`` in this block; the system takes the lock back when its holder is gone.
+
+    What this process holds already it may hold once more: a sweep's worker, and the training in it.
+
+    Args:
+        folder: where the lock is.
+        wait: for whom holds it to let go [s].
+
+    Raises:
+        InvalidInput: another process holds it.
+    """
+    place = folder.resolve()
+    if place in _HERE:
+        yield
+        return
+    deadline = time.monotonic() + wait
+    with (folder / _LOCK).open("a") as file:
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= deadline:
+                    raise InvalidInput(f"another process is at work in {folder}") from None
+            time.sleep(0.1)
+        _HERE.add(place)
+        try:
+            yield
+        finally:
+            _HERE.discard(place)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True

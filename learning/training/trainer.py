@@ -1,0 +1,357 @@
+"""Trainer: steps environments beside updates, asks the guide, logs and saves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from dexctl.exceptions import DexctlError, InvalidInput
+from dexctl.settings import difference, to_plain
+from learning.algorithms.base import Transitions
+from learning.config import TrainConfig
+from learning.exploration import POLICY
+from learning.training.build import build_algorithm, build_env, build_guide
+from learning.training.checkpoint import CheckpointError
+from learning.training.export import export_policy
+from learning.training.interruption import interruptible
+from learning.training.log import RunLog, Tally, who_acted
+from learning.training.run_folder import RunFolder
+
+Report = Callable[[int, Mapping[str, float]], None]
+Remark = Callable[[str], None]
+
+# what may differ between a checkpoint's configuration and the run's: it fits all the same
+_MAY_CHANGE = (
+    "steps", "log_every", "checkpoint_every", "overlap", "device", "torch_threads", "threads",
+    "learning_rate", "learning_rate_end", "decay_start", "gradient_steps", "batch_size", "gamma",
+    "tau", "policy_average", "policy_delay", "exploration_noise", "hard_stop", "beta", "beta_end",
+    "beta_stop", "temperature", "fixed_start",
+)  # fmt: skip
+
+
+class TrainingDiverged(DexctlError, RuntimeError):
+    """The weights are no longer finite; the last checkpoint has those from before."""
+
+
+def train(
+    config: TrainConfig,
+    path: Path,
+    *,
+    report: Report | None = None,
+    remark: Remark | None = None,
+) -> dict[str, Any]:
+    """Train from the beginning; what `resume` returns.
+
+    Raises:
+        InvalidInput: the folder holds a run already, or another process is at work in it.
+    """
+    folder = RunFolder(path)
+    if RunFolder.is_run(path):
+        raise InvalidInput(f"{path} holds a run already; resume it, or take another folder")
+    # what is wrong with the configuration shows before a file is written
+    trainer = Trainer(config, folder, report, remark)
+    try:
+        with folder.lock():
+            folder.create(config)
+            return trainer.run(None)
+    finally:
+        trainer.close()
+
+
+def resume(
+    path: Path,
+    steps: int | None = None,
+    *,
+    report: Report | None = None,
+    remark: Remark | None = None,
+) -> dict[str, Any]:
+    """Continue a run from its last checkpoint, or from the beginning where it has none.
+
+    What was done after the checkpoint is done again, to the same bits.
+
+    Args:
+        path: of the run's folder.
+        steps: train up to this many environment steps; None: as many as the run was made for.
+        report: called with the steps so far and the last row of the log, after each step.
+        remark: called with what people should know, a checkpoint that could not be written.
+
+    Returns:
+        Where the policy is, the steps, and the figures of the last row.
+
+    Raises:
+        InvalidInput, CheckpointError: there is no run in the folder, it cannot be continued, or
+            another process is at work in it.
+    """
+    folder = RunFolder(path)
+    config = folder.config()
+    if steps is not None:
+        config = replace(config, steps=steps)
+    with folder.lock():
+        folder.clean()
+        saved = folder.read_checkpoint()
+        trainer = Trainer(config, folder, report, remark)
+        try:
+            return trainer.run(saved)
+        finally:
+            trainer.close()
+
+
+class Trainer:
+    """One training run.
+
+    A turn chooses the actions of all environments, lets them take their step, shows the algorithm
+    what came of it, and updates:
+
+    - not overlapped: choose, step, observe, update;
+    - overlapped: choose, then step in a thread of its own *while* updating, then observe.
+
+    So the updates that follow a step run beside the next one. There are as many of them; the one
+    difference is that the policy which acts is older by the updates of one turn. Nothing is shared
+    between the two sides while they overlap, and a turn ends with both finished: runs repeat to
+    the bit, and between two turns a checkpoint is the whole truth.
+
+    Args:
+        config: of the run.
+        folder: where it is kept.
+        report: called with the steps so far and the last row of the log, after each turn.
+        remark: called with what people should know.
+
+    Attributes:
+        env, guide, algorithm: what the configuration describes.
+        row: the last one of the log.
+        stop: set it, and the run saves and raises KeyboardInterrupt before the next turn.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        folder: RunFolder,
+        report: Report | None = None,
+        remark: Remark | None = None,
+    ) -> None:
+        torch.set_num_threads(config.torch_threads)
+        self.config, self.folder = config, folder
+        self.env = build_env(config)
+        self.guide = build_guide(config, self.env)
+        self.algorithm = build_algorithm(config, self.env)
+        self.tally = Tally()
+        self.row: dict[str, float] = {}
+        self.stop = False
+        self._report = report or (lambda step, row: None)
+        self._remark = remark or (lambda text: None)
+        self._next_log, self._next_checkpoint = config.log_every, config.checkpoint_every
+        self._seconds, self._since = 0.0, time.monotonic()
+        self._observation, _ = self.env.reset()
+        self._log: RunLog | None = None
+
+    def run(self, saved: dict[str, Any] | None) -> dict[str, Any]:
+        """Train, from a checkpoint's content or from the beginning; see `resume`."""
+        resume_at = None
+        if saved is not None:
+            self._restore(saved)
+            resume_at = self.algorithm.steps
+        self._log = RunLog(self.folder, resume_at, self.config.guides)
+        if self.algorithm.steps < self.config.steps:
+            # the pool waits for a step that is under way, also where an update fails
+            with interruptible(self), ThreadPoolExecutor(1, "environments") as pool:
+                while self.algorithm.steps < self.config.steps:
+                    self._between_turns()
+                    self.turn(pool)
+            if self.algorithm.steps > self.row.get("step", -1):
+                self._write_row()
+            self.save()
+            self._report(self.algorithm.steps, self.row)
+        else:  # a kill may have come between the last checkpoint and its policy
+            self._export()
+        policy = str(self.folder.policy_path)
+        return {"policy": policy, "steps": self.algorithm.steps, "last": self.row}
+
+    def turn(self, pool: ThreadPoolExecutor) -> None:
+        """One step of all environments, and the updates that are due."""
+        algorithm, env, seen = self.algorithm, self.env, self._observation
+        try:
+            wanted = algorithm.act(seen)
+            chosen = self.guide.act(algorithm.steps, wanted, partial(self._values, seen))
+            if self.config.overlap and algorithm.overlaps:
+                pending = pool.submit(env.step, chosen.action)
+                self._update()
+                found = pending.result()
+            else:
+                found = env.step(chosen.action)
+            self._observation, reward, terminated, _, info = found
+            algorithm.observe(
+                Transitions(
+                    observation=seen,
+                    action=np.asarray(chosen.action, np.float32),
+                    reward=reward,
+                    next_observation=info["final_obs"],
+                    terminated=terminated,
+                    ended=info["done"],
+                    guided=chosen.guided,
+                    guide_action=chosen.label,
+                )
+            )
+        except (InvalidInput, ValueError) as error:  # of actions or values that are not finite
+            if algorithm.diverged:
+                raise self._diverged() from error
+            raise
+        self.guide.after_step(info["done"])
+        self.tally.add(reward, np.flatnonzero(info["done"]), info)
+        if not (self.config.overlap and algorithm.overlaps):
+            self._update()
+
+    def _values(self, seen: np.ndarray, rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        return self.algorithm.values(seen[rows], actions)
+
+    def _update(self) -> None:
+        steps = self.algorithm.steps
+        left = max(0.0, 1.0 - steps / self.config.steps)
+        self.algorithm.update(beta=self.guide.beta(steps), left=left)
+
+    def _between_turns(self) -> None:
+        """Where a checkpoint is the whole truth."""
+        step = self.algorithm.steps
+        if step >= self._next_log:
+            self._write_row()
+        if step >= self._next_checkpoint:
+            try:
+                self.save()
+            except (CheckpointError, OSError) as error:  # go on: nothing is lost yet
+                self._remark(str(error))
+        self._report(step, self.row)
+        if self.stop:
+            self.save()
+            raise KeyboardInterrupt(
+                f"interrupted at step {step}: checkpoint and policy are saved in "
+                f"{self.folder.path}; `dexctl train --resume {self.folder.path}` goes on"
+            )
+
+    def _write_row(self) -> None:
+        algorithm, guide = self.algorithm, self.guide
+        acted, chances, choices = guide.take_counts()
+        self.row = {
+            "step": algorithm.steps,
+            "updates": algorithm.updates,
+            **self.tally.row(),
+            "controller_share": float(1.0 - acted[POLICY] / max(acted.sum(), 1)),
+            **who_acted(acted, chances, choices, self.config.guides),
+            **algorithm.statistics,
+            "beta": guide.beta(algorithm.steps),
+            "seconds": self.seconds,
+        }
+        assert self._log is not None
+        try:
+            self._log.write(self.row)
+        except OSError as error:  # a full disk; the row is kept and written with the next one
+            self._remark(f"cannot write {self._log.path}: {error.strerror}")
+        self._next_log = _next(algorithm.steps, self.config.log_every)
+
+    @property
+    def seconds(self) -> float:
+        """Training time so far, interruptions left out [s]."""
+        return self._seconds + time.monotonic() - self._since
+
+    def save(self) -> None:
+        """Write checkpoint and policy.
+
+        Raises:
+            TrainingDiverged: the weights are not finite; the checkpoint before is left.
+        """
+        if self._log is not None:
+            self._log.sync()
+        algorithm = self.algorithm
+        if algorithm.diverged:
+            raise self._diverged()
+        self._next_checkpoint = _next(algorithm.steps, self.config.checkpoint_every)
+        self.folder.write_checkpoint(
+            {
+                "config": to_plain(self.config),
+                "algorithm": algorithm.state_dict(),
+                "guide": self.guide.state_dict(),
+                "env": self.env.save(),
+                "observation": self._observation,
+                "run": {
+                    "tally": dict(self.tally.sums),
+                    "row": dict(self.row),
+                    "next_log": self._next_log,
+                    "next_checkpoint": self._next_checkpoint,
+                    "seconds": self.seconds,
+                },
+            }
+        )
+        self._export()
+
+    def _export(self) -> None:
+        export_policy(self.algorithm, self.env, self.config, self.folder.policy_path, self.row)
+
+    def _restore(self, saved: Mapping[str, Any]) -> None:
+        """Continue from what a checkpoint has.
+
+        Raises:
+            CheckpointError: it is of another configuration, or lacks something.
+        """
+        where = self.folder.checkpoint_path
+        other = difference(_fixed(saved.get("config", {})), _fixed(to_plain(self.config)))
+        if other is not None:
+            raise CheckpointError(
+                f"{where} does not fit {self.folder.config_path.name}: {other}; put that back, or "
+                "begin anew in another folder"
+            )
+        try:
+            self.algorithm.load_state_dict(saved["algorithm"])
+            self.env.restore(saved["env"])
+            for text in self.guide.load_state_dict(saved["guide"]):
+                self._remark(text)
+            self._observation = saved["observation"].copy()
+            run = saved["run"]
+            self.tally.sums, self.row = dict(run["tally"]), dict(run["row"])
+            self._next_log, self._next_checkpoint = run["next_log"], run["next_checkpoint"]
+            self._seconds, self._since = run["seconds"], time.monotonic()
+        except (
+            DexctlError,
+            RuntimeError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+        ) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise CheckpointError(f"{where} does not fit this configuration: {reason}") from error
+
+    def _diverged(self) -> TrainingDiverged:
+        there = self.folder.checkpoint_path.exists()
+        kept = "the checkpoint from before is kept" if there else "there is no checkpoint yet"
+        return TrainingDiverged(
+            f"training diverged before step {self.algorithm.steps}: weights are not finite; "
+            f"{kept}; a lower learning rate may help"
+        )
+
+    def close(self) -> None:
+        """Close logs and environments."""
+        if self._log is not None:
+            self._log.close()
+        self.env.close()
+
+
+def _fixed(config: Mapping[str, Any]) -> dict[str, Any]:
+    """What a checkpoint depends on, of a configuration as `to_plain` has it."""
+    chosen = config.get("algorithm")
+    found = {}
+    for name, value in config.items():
+        if name in _MAY_CHANGE or (name in ("sac", "td3", "ppo") and name != chosen):
+            continue
+        found[name] = _fixed(value) if isinstance(value, Mapping) else value
+    return found
+
+
+def _next(step: int, every: int) -> int:
+    """The first multiple of ``every`` beyond ``step``."""
+    return (step // every + 1) * every

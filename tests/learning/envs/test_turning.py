@@ -1,0 +1,110 @@
+"""Reward, tilt and rotation: hand-computed numbers, and properties."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dexctl.rotations import multiply
+from dexctl.settings import from_plain
+from dexctl.sim import SceneConfig, Simulation
+from dexctl.state import GraspState
+from learning.envs.task import Step
+from learning.envs.turning import Motion, TurningConfig, reward, shortest, tilt, twist_angle
+
+Z = np.array([0.0, 0.0, 1.0])
+ONE = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def about(axis: np.ndarray, angle: float) -> np.ndarray:
+    return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * np.asarray(axis))])
+
+
+def test_the_equation_case_by_case() -> None:
+    motion = Motion(
+        speed=np.array([0.3, 0.9, -0.2, 0.3, 0.3, 0.3, -0.2]),
+        tilt=np.array([0.0, 0.5, 0.0, 0.51, 0.0, 0.0, 0.6]),
+        fingertips=np.array([3, 5, 4, 5, 2, 4, 1]),
+        fingertips_only=np.array([True, True, True, True, True, False, False]),
+    )
+    expected = [0.3, 0.5, -0.2, 0.0, 0.0, 0.0, -0.2]
+    np.testing.assert_array_equal(reward(motion, TurningConfig()), expected)
+
+
+def test_tilt_by_hand() -> None:
+    x = np.array([1.0, 0.0, 0.0])
+    assert tilt(about(x, 0.4), ONE, Z) == pytest.approx(0.4)
+    assert tilt(about(Z, 2.0), ONE, Z) == pytest.approx(0.0, abs=1e-7)
+    assert tilt(about(Z, 2.0), about(Z, 0.7), x) == pytest.approx(1.3)
+    both = multiply(about(x, 0.3), about(Z, 1.0))  # turned, then tilted
+    assert tilt(both, ONE, Z) == pytest.approx(0.3)
+
+
+@given(
+    st.floats(-3, 3),
+    st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
+    st.floats(0, 1.2),
+)
+def test_tilting_alone_is_no_rotation(
+    angle: float, direction: tuple[float, float, float], lean: float
+) -> None:
+    axis = np.array(direction) / np.linalg.norm(direction)
+    sideways = np.cross(axis, [0.3, 0.5, 0.8])
+    if np.linalg.norm(sideways) < 1e-3:
+        return
+    sideways /= np.linalg.norm(sideways)
+    quaternion = multiply(about(sideways, lean), about(axis, angle))
+    assert shortest(twist_angle(quaternion, axis) - angle) == pytest.approx(0.0, abs=1e-9)
+    assert tilt(quaternion, ONE, axis) == pytest.approx(lean, abs=1e-6)
+
+
+def test_rotation_is_unwrapped_over_many_turns() -> None:
+    config = from_plain(SceneConfig, {"object": "cylinder", "threads": 1})
+    with Simulation(config, 2) as simulation:
+        task, state = TurningConfig().build(simulation), simulation.state
+    start = about(Z, 0.4)
+
+    def at(*quaternions: np.ndarray) -> GraspState:
+        return replace(state, object_quaternion=np.array(quaternions))
+
+    task.begin(np.array([True, True]), at(start, start))
+    step = 1.3
+    for k in range(1, 21):  # four turns forwards, four back; quaternions of either sign
+        sign = 1 if k % 2 else -1
+        now = at(about(Z, 0.4 + step * k), sign * about(Z, 0.4 - step * k))
+        position, nobody = now.object_position, np.zeros(2, bool)
+        assert position is not None
+        found = task.judge(Step(now, np.zeros((2, 3)), ~nobody, position, nobody))
+        assert not found.dropped.any() and not found.succeeded.any()
+    np.testing.assert_allclose(found.info["rotation"], [26.0, -26.0])
+    task.begin(np.array([True, False]), at(start, start))
+    np.testing.assert_allclose(task.rotation, [0.0, -26.0])
+
+
+def test_speed_is_measured_at_control_rate() -> None:
+    """The speed in info is the pose difference over one control step."""
+    from dexctl import controllers
+    from dexctl.rotations import inverse, rotation_vector
+    from learning.envs import EnvConfig, make_vector
+
+    axis = np.array([0.0, 0.6, 0.8])
+    envs = make_vector(
+        from_plain(EnvConfig, {"object": "cylinder", "axis": (0.0, 3.0, 4.0), "threads": 1}),
+        2,
+        seed=0,
+    )
+    igm = controllers.make("igm", envs.hand)
+    for _ in range(5):
+        before = envs.state.object_quaternion
+        _, rewards, _, _, info = envs.step(envs.change_to_action(igm.act(envs.state)))
+        after = envs.state.object_quaternion
+        assert before is not None
+        assert after is not None
+        expected = rotation_vector(multiply(after, inverse(before))) @ axis / 0.05
+        np.testing.assert_allclose(info["speed"], expected, atol=1e-12)
+        assert info["fingertips_only"].all()
+        np.testing.assert_allclose(rewards, np.minimum(expected, 0.5), atol=1e-12)

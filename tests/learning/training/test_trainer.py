@@ -1,0 +1,253 @@
+"""The trainer: side by side with the environments, what it keeps, and how it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from dexctl.exceptions import InvalidInput
+from dexctl.settings import changed
+from learning import policies
+from learning.config import TrainConfig
+from learning.training import trainer as module
+from learning.training.checkpoint import CheckpointError
+from learning.training.run_folder import RunFolder
+from learning.training.trainer import Trainer, TrainingDiverged, resume, train
+
+Make = Callable[..., TrainConfig]
+GUIDED = {"method": "vge+bc", "controllers": ("coordinated", "gait"), "seed": 4, "num_envs": 6}
+
+
+class InTurn:
+    """In the place of the pool: what is submitted is done when its result is asked for."""
+
+    def __init__(self, *_: Any) -> None: ...
+
+    def __enter__(self) -> InTurn:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        class Later(Future):
+            def result(self, timeout: float | None = None) -> Any:
+                return call(*arguments)
+
+        return Later()
+
+
+@pytest.mark.parametrize(("overlap", "updates"), [(True, 6), (False, 8)])
+def test_updates_of_a_turn_by_hand(
+    small: Make, tmp_path: Path, overlap: bool, updates: int
+) -> None:
+    """2 updates for each turn once more than 12 transitions are there, that is from 3 steps on.
+
+    The 4th step runs beside the first updates, or follows them: they come before its end.
+    """
+    config = small(**GUIDED, overlap=overlap, steps=36, sac__learning_starts=12)
+    seen = []
+    made = Trainer(config, RunFolder(tmp_path), lambda step, row: seen.append(made_updates()))
+
+    def made_updates() -> int:
+        return made.algorithm.updates
+
+    made.run(None)
+    made.close()
+    assert seen[:6] == ([0, 0, 0, 0, 2, 4] if overlap else [0, 0, 0, 2, 4, 6])
+    assert made.algorithm.updates == updates
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3"])
+def test_side_by_side_equals_one_after_the_other(
+    small: Make, tmp_path: Path, algorithm: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Choose, update, step, observe: with the thread it is the same, to the bit."""
+    config = small(**GUIDED, algorithm=algorithm, steps=360)
+    train(config, tmp_path / "thread")
+    monkeypatch.setattr(module, "ThreadPoolExecutor", InTurn)
+    train(config, tmp_path / "turns")
+    first, second = (policies.load(tmp_path / name) for name in ("thread", "turns"))
+    for ours, theirs in zip(first.layers, second.layers, strict=True):
+        np.testing.assert_array_equal(ours.weight, theirs.weight)
+    assert first.card["figures"]["controller_share"] > 0
+
+
+def test_the_step_is_under_way_while_updating(
+    small: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Trainer(small(steps=40), RunFolder(tmp_path))
+    step, update = made.env.step, made.algorithm.update
+    started, updated = threading.Event(), threading.Event()
+    threads = set()
+
+    def stepping(actions: Any) -> Any:
+        threads.add(threading.current_thread())
+        started.set()
+        assert updated.wait(30)  # in vain where updates come after the step
+        return step(actions)
+
+    def updating(**named: Any) -> None:
+        assert started.wait(30)  # in vain where updates come before it
+        update(**named)
+        updated.set()
+
+    monkeypatch.setattr(made.env, "step", stepping)
+    monkeypatch.setattr(made.algorithm, "update", updating)
+    made.run(None)
+    made.close()
+    assert threading.main_thread() not in threads and len(threads) == 1
+
+
+@pytest.mark.parametrize("side", ["env", "updates"])
+def test_an_error_on_either_side_comes_out_with_the_thread_at_rest(
+    small: Make, tmp_path: Path, side: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Trainer(small(), RunFolder(tmp_path))
+    step, done = made.env.step, []
+
+    def stepping(actions: Any) -> Any:
+        if side == "env" and made.algorithm.steps > 12:
+            raise ValueError("of the environment")
+        time.sleep(0.01)
+        done.append(step(actions))
+        return done[-1]
+
+    def updating(**_: Any) -> None:
+        if side == "updates":
+            raise ValueError("of the updates")
+
+    monkeypatch.setattr(made.env, "step", stepping)
+    monkeypatch.setattr(made.algorithm, "update", updating)
+    with pytest.raises(ValueError, match=f"of the {side[:3]}"):
+        made.run(None)
+    made.close()
+    assert not [t for t in threading.enumerate() if t.name.startswith("environments")]
+    assert len(done) == (1 if side == "updates" else 4)  # the one under way was finished
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3"])
+def test_a_policy_trained_with_all_of_it_needs_its_own_parts_only(
+    small: Make, tmp_path: Path, algorithm: str
+) -> None:
+    own = {"n_step": 3, "layer_norm": True, "policy_delay": 2, "policy_average": 0.9}
+    config = small(
+        method="vge+bc", cloned="visited", cloning="squared", cloning_weight="better", beta=5,
+        controllers=("coordinated",), parts=("q", "q_target", "touch"), algorithm=algorithm,
+        critic_parts=("object_position", "object_quaternion"),
+        **{f"{algorithm}__{name}": value for name, value in own.items()},
+    )  # fmt: skip
+    found = train(config, tmp_path / "run")
+    assert np.isfinite(found["last"]["critic_loss"])
+    policy = policies.load(found["policy"])
+    assert policy.observation.parts == ("q", "q_target", "touch")
+    assert policy.layers[0].weight.shape == (16, 35)
+    assert resume(tmp_path / "run", 240)["steps"] == 240
+
+
+def test_an_interrupted_run_saves_first_and_says_how_to_go_on(small: Make, tmp_path: Path) -> None:
+    def interrupt(step: int, row: Any) -> None:
+        if step == 80:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    folder, before = tmp_path / "run", signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt, match="dexctl train --resume .*run` goes on"):
+        train(small(), folder, report=interrupt)
+    assert signal.getsignal(signal.SIGINT) is before
+    saved = RunFolder(folder).read_checkpoint()
+    assert saved is not None and saved["algorithm"]["steps"] in (80, 84)
+    assert policies.load(folder).card["steps"] in (80, 84)
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ({"sac__network": (8,)}, "sac.network was [16], is [8]"),
+        ({"object": "cube"}, "env.scene.object was ['cylinder'], is ['cube']"),
+        ({"controllers": ("igm",)}, "controllers was ['gait'], is ['igm']"),
+        ({"algorithm": "td3"}, "algorithm was 'sac', is 'td3'"),
+        ({"critic_parts": ("object_position",)}, "env.critic_parts was []"),
+    ],
+)
+def test_a_checkpoint_of_another_configuration_is_named(
+    small: Make, tmp_path: Path, settings: dict[str, Any], what: str
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    train(small(steps=60), folder.path)
+    saved = folder.read_checkpoint()
+    other = Trainer(small(**settings), folder)
+    with pytest.raises(CheckpointError) as caught:
+        other.run(saved)
+    other.close()
+    assert what in str(caught.value) and str(folder.checkpoint_path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("gone", ["env", "observation", "guide", "run", "algorithm"])
+def test_a_checkpoint_that_lacks_something_is_one_line(
+    small: Make, tmp_path: Path, gone: str
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    train(small(steps=60), folder.path)
+    saved = folder.read_checkpoint()
+    assert saved is not None
+    del saved[gone]
+    folder.write_checkpoint(saved)
+    with pytest.raises(CheckpointError, match="checkpoint.bin does not fit"):
+        resume(folder.path, 80)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3"])
+def test_weights_that_are_not_finite_do_not_replace_a_checkpoint(
+    small: Make, tmp_path: Path, algorithm: str
+) -> None:
+    config = small(method="rl", algorithm=algorithm, checkpoint_every=100)
+    folder, policy = RunFolder(tmp_path / "run"), []
+
+    def spoil(step: int, row: Any) -> None:
+        if step == 120:  # after the checkpoint at 100
+            policy.append(folder.policy_path.read_bytes())
+            with torch.no_grad():
+                algorithm: Any = made.algorithm
+                algorithm.critic.flat[0] = float("nan")
+
+    made = Trainer(config, folder, spoil)
+    folder.create(config)
+    with pytest.raises(TrainingDiverged, match="weights are not finite") as caught:
+        made.run(None)
+    made.close()
+    assert "the checkpoint from before is kept" in str(caught.value)
+    assert folder.policy_path.read_bytes() == policy[0]
+    assert resume(folder.path)["steps"] == 200  # the weights from before are fine
+
+
+def test_the_controllers_turn_about_the_axis_of_the_environments(
+    small: Make, tmp_path: Path
+) -> None:
+    made = Trainer(small(controllers=("igm",), axis="x"), RunFolder(tmp_path))
+    (controller,) = made.guide.controllers
+    assert controller.config.twist[3:] == pytest.approx((0.4, 0.0, 0.0))  # type: ignore[attr-defined]
+    made.close()
+
+
+def test_two_do_not_work_in_one_folder(small: Make, tmp_path: Path) -> None:
+    train(small(steps=60), tmp_path / "run")
+    with pytest.raises(InvalidInput, match="holds a run already"):
+        train(small(), tmp_path / "run")
+
+
+def test_no_gpu(small: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InvalidInput, match="torch finds no GPU"):
+        train(changed(small(), {"device": "cuda"}), tmp_path / "run")
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,128 @@
+"""Nested configurations as plain values, by leaf name, and what is wrong with them in one line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.settings import (
+    NESTED,
+    Vector,
+    changed,
+    difference,
+    from_plain,
+    get,
+    leaves,
+    paths,
+    to_plain,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    joint: float = 0.0
+    rate: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    object: tuple[str, ...] = ("cube",)
+    gravity: Vector = "up"
+    size: float | None = None
+    file: Path | None = None
+    noise: Annotated[Noise, NESTED] = Noise()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    scene: Annotated[Scene, NESTED] = Scene()
+    kind: Literal["a", "b"] = "a"
+    count: int = 3
+    quick: bool = False
+    rate: float = 0.5
+
+
+def test_leaves_have_paths_and_repeated_names_have_none() -> None:
+    assert leaves(Run)["joint"] == "scene.noise.joint"
+    assert "rate" not in leaves(Run)
+    assert list(paths(Scene))[-2:] == ["noise.joint", "noise.rate"]
+    assert get(Run(), "scene.noise.rate") == 1.0
+
+
+@given(
+    st.fixed_dictionaries(
+        {},
+        optional={
+            "object": st.lists(st.sampled_from("abc"), min_size=1),
+            "gravity": st.one_of(st.just("down"), st.tuples(*[st.floats(-9, 9)] * 3)),
+            "size": st.one_of(st.none(), st.floats(0, 1)),
+            "file": st.one_of(st.none(), st.just("x/y.npz")),
+            "joint": st.floats(0, 1),
+            "scene.noise.rate": st.floats(0, 1),
+            "rate": st.integers(0, 3),
+            "kind": st.sampled_from("ab"),
+            "quick": st.booleans(),
+        },
+    )
+)
+def test_what_is_given_by_any_name_goes_through_json(values: dict[str, Any]) -> None:
+    made = from_plain(Run, values)
+    assert from_plain(Run, json.loads(json.dumps(to_plain(made)))) == made
+    assert changed(Run(), values) == made
+    for name, value in values.items():
+        path = name if "." in name or name in Run.__dataclass_fields__ else leaves(Run)[name]
+        found = get(made, path)
+        assert found == (tuple(value) if isinstance(value, list) else
+                         Path(value) if name == "file" and value else value)  # fmt: skip
+
+
+def test_tables_and_leaves_together() -> None:
+    made = from_plain(Run, {"scene": {"size": 1, "noise": {"rate": 2}}, "joint": 0.1})
+    assert made.scene == Scene(size=1.0, noise=Noise(joint=0.1, rate=2.0))
+    assert from_plain(Run, {"object": "ball"}).scene.object == ("ball",)
+    other = changed(made, {"scene": {"noise": {"joint": 0.3}}})
+    assert other.scene.noise == Noise(joint=0.3, rate=2.0)
+    assert other.scene.size == 1.0
+
+
+def test_the_first_difference_is_named() -> None:
+    a, b = to_plain(Run()), to_plain(changed(Run(), {"joint": 0.5, "count": 4}))
+    assert difference(a, b) == "scene.noise.joint was 0.0, is 0.5"
+    assert difference(a, a) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"count": 1.5}, "train.count is 1.5; expected a whole number"),
+        ({"count": True}, "train.count is True; expected a whole number"),
+        ({"quick": 1}, "train.quick is 1; expected true or false"),
+        ({"size": "big"}, "train.scene.size is 'big'; expected a number or none"),
+        ({"joint": True}, "train.scene.noise.joint is True; expected a number"),
+        ({"gravity": [1, 2]}, "expected a text or 3 values, each a number"),
+        ({"object": [1]}, "expected a list, each a text"),
+        ({"kind": "c"}, "train.kind is 'c'; expected 'a' or 'b'"),
+        ({"scene": 3}, "train.scene is 3; expected a table of settings"),
+        ({"scene": {"noise": []}}, "expected a table of settings"),
+    ],
+)
+def test_bad_values(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        from_plain(Run, values, "train")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["obiect", "scene.obiect", "count.size", "noise.joint", ""])
+def test_unknown_names(name: str) -> None:
+    with pytest.raises(
+        UnknownName, match="unknown setting (of scene )?.*; known: (scene, kind|object, grav)"
+    ):
+        changed(Run(), {name: 1})
