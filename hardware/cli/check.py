@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results, table, to_json
-from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput
 from dexctl.files import write_text
 from dexctl.state import Floats

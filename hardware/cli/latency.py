@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results, to_json
-from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.files import write_text
 from dexctl.state import Floats

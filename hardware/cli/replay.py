@@ -9,8 +9,8 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
-from dexctl.cli.parsing import make_folder
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from hardware import report

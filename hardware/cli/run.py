@@ -13,8 +13,8 @@ import numpy as np
 import tyro
 
 from dexctl import Controller, HandModel, controllers
+from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.output import facts, notes, print_json, results
-from dexctl.cli.parsing import check_seconds, make_folder
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.limits import REAL_SPEED, REAL_TORQUE
 from hardware import report
