@@ -25,7 +25,7 @@ from common import Figure, Settings, over_seeds, progress, settings, share, writ
 
 from dexctl import Controller, GraspState, controllers
 from dexctl.exceptions import MissingExtra
-from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE, HandLimits
+from dexctl.limits import REAL_SPEED, REAL_TORQUE, HandLimits
 from dexctl.plant import Plant
 from dexctl.sim import BatchSimulator, LimitedHand, Scene, run
 from dexctl.sim.trial import DROP_DISTANCE, rotation_about
@@ -36,10 +36,11 @@ from hardware.hand import ServoHand
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
 from hardware.runner import Runner
+from hardware.scene import HOLDING
 from hardware.tactile import TRUSTED_FORCE
 from hardware.units import SimGains, to_servo
 
-HAND, OBJECT, PALM = "dex5", "cylinder", "up"
+HELD = replace(HOLDING, hand="dex5", object=("cylinder",), gravity="up")
 PERIOD, TIMESTEP, SETTLE = 0.02, 0.005, 1.0
 ROW = 25  # ticks between those of the traces that are kept in the result
 REAL = HandLimits.real()
@@ -80,7 +81,8 @@ class Unseeing:
 
 
 def _scene() -> Scene:
-    return Scene.build(HAND, OBJECT, PALM)
+    (scene,) = HELD.scenes()
+    return scene
 
 
 def _simulator(scene: Scene, count: int | None, *, disturbance: float) -> BatchSimulator:
@@ -126,9 +128,7 @@ def emulated_trace(scene: Scene, controller: Controller, seconds: float, seed: i
     """The run through bus and emulated servos."""
     grasp = scene.settled.q_target
     with (
-        Emulator(
-            dynamics="mujoco", hand=HAND, object=OBJECT, gravity=PALM, manual=True
-        ) as emulator,
+        Emulator(dynamics="mujoco", scene=HELD, manual=True) as emulator,
         Bus(emulator.port, range(1, 16), timeout=0.5) as bus,
     ):
         source = EmulatedTactile(emulator)
@@ -255,8 +255,7 @@ def emulated(scene: Scene, name: str, given: GraspSettings, seed: int) -> dict[s
     controller = controllers.make(name, scene.hand, control_period=PERIOD)
     with (
         tempfile.TemporaryDirectory() as folder,
-        Emulator(dynamics="mujoco", hand=HAND, object=OBJECT, gravity=PALM,
-                 action_latency=REAL_LATENCY, seed=seed) as emulator,
+        Emulator(dynamics="mujoco", scene=replace(HELD, limits=REAL), seed=seed) as emulator,
         Bus(emulator.port, range(1, 16), timeout=0.03) as bus,
     ):  # fmt: skip
         source = EmulatedTactile(emulator)

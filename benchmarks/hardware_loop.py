@@ -36,6 +36,7 @@ from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
 from hardware.motions import Sine
 from hardware.runner import Runner
+from hardware.scene import HOLDING
 from hardware.units import SimGains, to_servo
 
 IDS = range(1, 16)
@@ -90,9 +91,8 @@ def cycles(given: LoopSettings) -> tuple[dict[str, np.ndarray], dict[str, int]]:
 @contextmanager
 def grasping(seed: int) -> Iterator[tuple[Emulator, np.ndarray | None]]:
     """A hand in MuJoCo that holds a cylinder, and the set-points of its grasp."""
-    grasp = Scene.build("dex5", "cylinder", "up").settled.q_target.copy()
-    with Emulator(dynamics="mujoco", object="cylinder", seed=seed) as emulator:
-        yield emulator, grasp
+    with Emulator(dynamics="mujoco", scene=HOLDING, seed=seed) as emulator:
+        yield emulator, np.array(emulator.grasp())
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import field, fields, is_dataclass, make_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import (
@@ -35,6 +35,28 @@ T = TypeVar("T")
 
 NESTED = tyro.conf.arg(name="")
 """Marks a nested configuration whose settings go without its name on the command line."""
+
+
+def only(default: Any, *names: str) -> Any:
+    """Marks a nested configuration of which only some settings are options; else as `NESTED`.
+
+    Args:
+        default: a configuration; the other settings have its values, whatever is typed.
+        names: of the settings, or of configurations in it; dotted for one setting of those.
+    """
+    kind, heads = type(default), {name.partition(".")[0] for name in names}
+    with_markers = get_type_hints(kind, include_extras=True)
+    shown = []
+    for one in fields(kind):
+        hint, value = with_markers[one.name], getattr(default, one.name)
+        below = [name.partition(".")[2] for name in names if name.startswith(f"{one.name}.")]
+        if below:
+            hint = Annotated[type(value), only(value, *below)]
+        elif one.name not in heads:
+            hint = Annotated[hint, tyro.conf.Fixed, tyro.conf.Suppress]
+        shown.append((one.name, hint, field(default=value)))
+    narrow = make_dataclass(kind.__name__, shown, bases=(kind,), frozen=True, kw_only=True)
+    return tyro.conf.arg(name="", constructor=narrow)
 
 
 def _read_vector(words: list[str]) -> str | tuple[float, ...]:
@@ -105,6 +127,26 @@ def changed(config: C, values: Mapping[str, Any], where: str = "") -> C:
     return replace(cast(Any, config), **found)
 
 
+def by_path(kind: type, values: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """``values``, which are as `from_plain` takes them, by the dotted paths of ``kind``.
+
+    So what two tables say of one setting can be put together, whichever name each has for it.
+
+    Raises:
+        UnknownName, InvalidInput: no such setting, or a value of the wrong kind. Whether it is in
+            range, the configuration says that is made of it.
+    """
+    found: dict[str, Any] = {}
+    for name, value in _sorted_in(kind, values, where).items():
+        path, inner = f"{where}.{name}" if where else name, _hints(kind)[name]
+        if is_dataclass(inner) and isinstance(value, Mapping):
+            below = by_path(cast(type, inner), value, path)
+            found |= {f"{name}.{rest}": one for rest, one in below.items()}
+        else:
+            found[name] = _value(inner, value, path)
+    return found
+
+
 @cache
 def leaves(kind: type) -> Mapping[str, str]:
     """The dotted path of each setting below ``kind``, by its own name; repeated names are out."""
@@ -128,6 +170,11 @@ def get(config: Any, path: str) -> Any:
     for name in path.split("."):
         config = getattr(config, name)
     return config
+
+
+def differing(a: Any, b: Any) -> list[str]:
+    """The dotted paths of the settings that two configurations of one kind have otherwise."""
+    return [path for path in paths(type(a)) if get(a, path) != get(b, path)]
 
 
 def difference(a: Any, b: Any, where: str = "") -> str | None:

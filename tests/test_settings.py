@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
+import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,11 +16,14 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import (
     NESTED,
     Vector,
+    by_path,
     changed,
     difference,
+    differing,
     from_plain,
     get,
     leaves,
+    only,
     paths,
     to_plain,
 )
@@ -47,6 +51,28 @@ class Run:
     count: int = 3
     quick: bool = False
     rate: float = 0.5
+
+
+BALL = Scene(object=("ball",), noise=Noise(rate=2.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    scene: Annotated[Scene, only(BALL, "gravity", "noise.joint")] = BALL
+
+
+def test_only_some_settings_are_options(capsys: pytest.CaptureFixture[str]) -> None:
+    made = tyro.cli(Command, args=["--gravity", "down", "--joint", "0.5"]).scene
+    assert to_plain(made) == to_plain(changed(BALL, {"gravity": "down", "joint": 0.5}))
+    assert differing(made, BALL) == ["gravity", "noise.joint"]
+    for hidden in ("--size", "--rate", "--object"):
+        with pytest.raises(SystemExit):
+            tyro.cli(Command, args=[hidden, "3"])
+        assert f"Unrecognized options: {hidden}" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        tyro.cli(Command, args=["--help"])
+    said = capsys.readouterr().out
+    assert "--joint" in said and "--size" not in said
 
 
 def test_leaves_have_paths_and_repeated_names_have_none() -> None:
@@ -90,6 +116,16 @@ def test_tables_and_leaves_together() -> None:
     other = changed(made, {"scene": {"noise": {"joint": 0.3}}})
     assert other.scene.noise == Noise(joint=0.3, rate=2.0)
     assert other.scene.size == 1.0
+
+
+def test_tables_can_be_put_together_by_path() -> None:
+    values = {"scene": {"noise": {"rate": 2}, "size": 1}, "joint": 0.1, "rate": 3}
+    assert by_path(Run, values) == {
+        "scene.noise.rate": 2.0, "scene.size": 1.0, "scene.noise.joint": 0.1, "rate": 3.0,
+    }  # fmt: skip
+    for wrong, said in (({"scene.noise": 3}, "a.scene.noise is 3"), ({"joint": "x"}, "a.scene.noise.jo")):
+        with pytest.raises(InvalidInput, match=said):
+            by_path(Run, wrong, "a")
 
 
 def test_the_first_difference_is_named() -> None:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,10 @@ from rich.table import Table
 
 from dexctl import HandModel
 from dexctl.cli.output import notes, print_json, results, table
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
+from dexctl.settings import only
+from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus
@@ -27,6 +30,7 @@ from hardware.calibration import TORQUE_CONSTANT, TURN, Calibration
 from hardware.cli.options import HandOptions
 from hardware.emulator import Emulator
 from hardware.exceptions import ServoError
+from hardware.scene import EMPTY
 
 _POSES = ("zero", "upper", "lower")
 _LEAST_TRAVEL = 0.2  # less, and the two ends are one pose [rad]
@@ -112,8 +116,9 @@ class Calibrate(HandOptions):
     """Torque per current of the servos [N m/A]; the default is from the data sheet."""
     seed: int = 0
     """Seed of the emulated signs and zeros."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the summary."""
+    scene: Annotated[SceneConfig, only(EMPTY, "hand")] = EMPTY
 
     def run(self) -> int:
         self.check()

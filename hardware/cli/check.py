@@ -11,6 +11,7 @@ import numpy as np
 
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results, table, to_json
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.files import write_text
 from dexctl.state import Floats
@@ -37,13 +38,13 @@ class Check(HandOptions):
     Nothing moves and no torque is on unless --move is given. Exit code 1 where something is wrong.
     """
 
-    move: bool = False
+    move: Switch = False
     """Move each joint by 0.12 rad and back, so that a wrong joint map shows."""
     reboot: int | None = None
     """Restart this servo first: clears a hardware error once its cause is gone."""
     out: Path | None = None
     """Folder for check.json."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the table."""
 
     def run(self) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results, to_json
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.files import write_text
 from dexctl.state import Floats
@@ -35,7 +36,7 @@ class Latency(HandOptions):
     """Control rate [Hz]."""
     out: Path | None = None
     """Folder for latency.json, with every sample of set-point and joint."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the summary."""
 
     def run(self) -> int:

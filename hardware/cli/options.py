@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from dexctl import HandModel, hands
-from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.limits import REAL_SPEED, REAL_TORQUE
+from dexctl.cli.parsing import Switch
+from dexctl.exceptions import InvalidInput
+from dexctl.settings import differing, only
+from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware.bus import Bus
 from hardware.calibration import Calibration
@@ -23,6 +25,7 @@ from hardware.emulator.dynamics import LONGEST_LATENCY
 from hardware.hand import ServoHand
 from hardware.limits import Limits
 from hardware.run_report import RunReport
+from hardware.scene import EMPTY, NOTHING, OF_A_REAL_HAND
 from hardware.state_machine import Event
 from hardware.tactile import SerialTactile, TactileSource
 from hardware.units import ServoGains, SimGains, to_servo
@@ -58,24 +61,17 @@ class Session(NamedTuple):
 class HandOptions:
     """Which hand, where."""
 
-    hand: str = "dex5"
-    """Name of the hand (`dexctl hands` lists them)."""
     port: str | None = None
     """Serial port of the servos; none: the only one there is."""
-    emulate: bool = False
+    emulate: Switch = False
     """Run against emulated servos instead of a hand."""
     calibration: Path | None = None
     """File that `dexctl hardware calibrate` wrote; none: servos 1 to d, mounted straight."""
     baudrate: int = 4_000_000
     """Speed of the bus [bit/s]."""
-    stiffness: float = 3.0
-    """Stiffness of the servos' position loop [N m/rad], by the conversion of `hardware.units`."""
-    damping: float = 0.15
-    """Damping of the servos' position loop [N m s/rad]."""
-    action_latency: float = 0.0
-    """Time from a set-point to its effect in emulated servos [s]; the thesis's hand has 0.05."""
     patience: float = 1.0
     """Allow so many times more silence, age and overruns, 1 to 10: to emulate on a busy machine."""
+    scene: Annotated[SceneConfig, only(EMPTY, "hand", "stiffness", "damping", "limits")] = EMPTY
 
     def check(self) -> None:
         """Names and files first: they cost nothing.
@@ -83,39 +79,56 @@ class HandOptions:
         Raises:
             UnknownName, InvalidInput: an option is wrong.
         """
-        hands.entry(self.hand)
         if self.emulate and self.port is not None:
             raise InvalidInput(f"--emulate and --port {self.port} are given; expected one of them")
-        if not 0 <= self.action_latency <= LONGEST_LATENCY:
+        if not self.emulate:
+            given = [path for path in self._given() if path not in OF_A_REAL_HAND]
+            if given:
+                raise InvalidInput(
+                    f"{flags(given)}: a real hand cannot be told; expected --emulate with it"
+                )
+        latency = self.scene.limits.action_latency
+        if latency > LONGEST_LATENCY:
             raise InvalidInput(
-                f"--action-latency is {self.action_latency}; expected 0 to {LONGEST_LATENCY:g} s"
-            )
-        if self.action_latency and not self.emulate:
-            raise InvalidInput(
-                f"--action-latency {self.action_latency} is of emulated servos; expected --emulate"
+                f"--action-latency is {latency}; expected 0 to {LONGEST_LATENCY:g} s"
             )
         if self.calibration is not None:
             Calibration.load(self.calibration)
         self.gains(self.limits())
 
-    def limits(self, speed_limit: float = REAL_SPEED, torque_limit: float = REAL_TORQUE) -> Limits:
-        """Limits with these [rad/s], [N m] and the patience asked for.
+    def _given(self) -> list[str]:
+        """The settings of the scene that are not as the command has them by itself."""
+        return differing(self.scene, type(self).__dataclass_fields__["scene"].default)
+
+    def limits(self) -> Limits:
+        """Speed and torque of the scene, and the patience asked for.
 
         Raises:
-            InvalidInput: out of range.
+            InvalidInput: out of range, or without a limit.
         """
-        limits = Limits(speed_limit=speed_limit, torque_limit=torque_limit)
-        return limits.patient(self.patience)
+        speed, torque = self.scene.limits.speed_limit, self.scene.limits.torque_limit
+        for name, value in (("speed_limit", speed), ("torque_limit", torque)):
+            if value is None:
+                raise InvalidInput(f"{flags([name])} is none; a servo hand is always limited")
+        assert speed is not None
+        assert torque is not None
+        return Limits(speed_limit=speed, torque_limit=torque).patient(self.patience)
 
     def gains(self, limits: Limits) -> ServoGains:
-        """Register values of stiffness and damping."""
-        return to_servo(
-            SimGains(self.stiffness, self.damping, limits.torque_limit, limits.speed_limit)
-        )
+        """Register values of stiffness and damping.
+
+        Raises:
+            InvalidInput: no register can hold one of them.
+        """
+        stiffness, damping = self.scene.stiffness, self.scene.damping
+        if stiffness is None or damping is None:
+            name = "stiffness" if stiffness is None else "damping"
+            raise InvalidInput(f"{flags([name])} is none; expected a number, which servos are told")
+        return to_servo(SimGains(stiffness, damping, limits.torque_limit, limits.speed_limit))
 
     def load(self) -> tuple[HandModel, Calibration]:
         """The hand and how its joints lie on the servos."""
-        model = hands.load(self.hand)
+        model = hands.load(self.scene.hand)
         if self.calibration is None:
             return model, Calibration.nominal(model)
         return model, Calibration.load(self.calibration).check(model)
@@ -140,32 +153,36 @@ class HandOptions:
         limits: Limits,
         control_period: float,
         *,
-        dynamics: str = "first-order",
-        object: str = "none",  # noqa: A002 (the field's name for it)
-        gravity: str = "up",
+        held: SceneConfig | None = None,
         tactile: str | None = None,
+        seed: int = 0,
     ) -> Iterator[Session]:
         """The hand, open and not armed; torque is off and the bus closed when the block ends.
 
         Args:
             limits: of the hand.
             control_period: [s].
-            dynamics: of an emulated hand: "first-order" or "mujoco".
-            object: what it holds; "none" for nothing.
-            gravity: which way the palm looks, "up" or "down".
+            held: the scene of a hand with its object, which MuJoCo emulates; None: the hand only
+                moves, and is emulated by first-order joints.
             tactile: serial port of the fingertips.
+            seed: of what is random in an emulated scene.
         """
         model, calibration = self.load()
-        grasp = settled_grasp(model, object, gravity)
+        trusted = self.scene.sensing.touch_threshold
         with ExitStack() as stack:
-            emulator, source = None, None
+            emulator, source, grasp = None, None, None
             if self.emulate:
                 emulator = stack.enter_context(
-                    emulate(self.hand, calibration, dynamics, object, gravity, self.action_latency)
+                    emulate(calibration, held or self.scene, held is not None, seed)
                 )
-                source = EmulatedTactile(emulator) if dynamics == "mujoco" else None
-            elif tactile is not None:
-                source = SerialTactile(tactile, model.n_fingers)
+                found = emulator.grasp()
+                grasp = None if found is None else np.array(found)
+                if held is not None:
+                    source = EmulatedTactile(emulator, trusted_force=trusted)
+            elif held is not None and held.object != (NOTHING,):
+                grasp = held.scenes(model)[0].settled.q_target.copy()
+            if tactile is not None and not self.emulate:
+                source = SerialTactile(tactile, model.n_fingers, trusted_force=trusted)
                 stack.callback(source.close)
             port = emulator.port if emulator is not None else self.find_port()
             timeout = self.patience * (_TIMEOUT if emulator is None else _EMULATED_TIMEOUT)
@@ -183,14 +200,13 @@ class HandOptions:
             yield Session(model, bus, hand, emulator, source, grasp)
 
 
-def emulate(
-    hand: str,
-    calibration: Calibration,
-    dynamics: str,
-    object: str,  # noqa: A002 (the field's name for it)
-    gravity: str,
-    action_latency: float = 0.0,
-) -> Emulator:
+def flags(settings: Iterable[str]) -> str:
+    """Settings by their dotted paths as they are typed, ``--push-force, --joint-noise``."""
+    names = (path.rpartition(".")[2].replace("_", "-") for path in settings)
+    return ", ".join(f"--{name}" for name in names)
+
+
+def emulate(calibration: Calibration, scene: SceneConfig, mujoco: bool, seed: int) -> Emulator:
     """Emulated servos that are mounted as ``calibration`` says."""
     zeros = np.round(calibration.zero / (2 * np.pi / 4096)).astype(int) % 4096
     middle = np.clip(0.0, calibration.lower, calibration.upper)
@@ -199,29 +215,11 @@ def emulate(
         ids=calibration.servo.tolist(),
         zeros=zeros.tolist(),
         signs=calibration.sign.tolist(),
-        start=None if dynamics == "mujoco" else middle.tolist(),
-        dynamics=dynamics,
-        hand=hand,
-        object=object,
-        gravity=gravity,
-        action_latency=action_latency,
+        start=None if mujoco else middle.tolist(),
+        dynamics="mujoco" if mujoco else "first-order",
+        scene=scene,
+        seed=seed,
     )
-
-
-def settled_grasp(model: HandModel, object: str, gravity: str) -> Floats | None:  # noqa: A002
-    """Set-points of the simulated grasp of an object, ``(d,)`` [rad]; None for "none".
-
-    Raises:
-        UnknownName: no such object.
-        SimulationError: the hand cannot hold it.
-    """
-    if object == "none":
-        return None
-    from dexctl.sim import Scene, object_names
-
-    if object not in object_names():
-        raise UnknownName("object", object, ("none", *object_names()))
-    return Scene.build(model, object, gravity).settled.q_target.copy()
 
 
 def busy(options: HandOptions, found: RunReport) -> str:

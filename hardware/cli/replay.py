@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +11,10 @@ import tyro
 
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
+from dexctl.settings import only
+from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware import report
 from hardware.cli.options import HandOptions, busy
@@ -20,21 +23,26 @@ from hardware.figures import figures_of_merit
 from hardware.log import Log, LogWriter, read_log
 from hardware.motions import Replay
 from hardware.runner import Runner
+from hardware.scene import EMPTY
 
 
 @dataclass(kw_only=True)
 class ReplayLog(HandOptions):
     """Send the set-points of a log once more, to the emulator unless --port is given.
 
-    The object is not part of it: the emulated hand is empty.
+    Speed and torque are limited as they were. The object is not part of it: the emulated hand is
+    empty.
     """
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The MCAP file of a run."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html of the replay."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the summary."""
+    scene: Annotated[
+        SceneConfig, only(EMPTY, "hand", "stiffness", "damping", "limits.action_latency")
+    ] = EMPTY
 
     def run(self) -> int:
         self.emulate = self.emulate or self.port is None
@@ -46,8 +54,8 @@ class ReplayLog(HandOptions):
         target = folder / "run.mcap"
         if target.exists() and self.log.exists() and target.samefile(self.log):
             raise InvalidInput(f"--out is the folder of {self.log} itself; expected another one")
-        was = log.run["limits"]
-        limits = self.limits(was["speed_limit"], was["torque_limit"])
+        was = {name: log.run["limits"][name] for name in ("speed_limit", "torque_limit")}
+        limits = replace(self.limits(), **was)
         replay = Replay(model, q_target, control_period=period)
         with self.open(limits, period) as session, LogWriter(target) as writer:
             writer.write("/run", about(self, f"replay of {self.log.name}", calibration, limits))
@@ -100,7 +108,7 @@ class Report:
     """The MCAP file of a run."""
     out: Path | None = None
     """The HTML file; default report.html beside the log."""
-    json: bool = False
+    json: Switch = False
     """Print the figures as one JSON object as well."""
 
     def run(self) -> int:

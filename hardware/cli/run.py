@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,20 +15,26 @@ import tyro
 from dexctl import Controller, HandModel, controllers
 from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.output import facts, notes, print_json, results
-from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.limits import REAL_SPEED, REAL_TORQUE
+from dexctl.cli.parsing import Switch
+from dexctl.exceptions import InvalidInput
+from dexctl.settings import only, to_plain
+from dexctl.sim.scene_config import SceneConfig
+from dexctl.validation import check_name
 from hardware import report
 from hardware.calibration import Calibration
-from hardware.cli.options import HandOptions, Session, busy
+from hardware.cli.options import HandOptions, Session, busy, flags
 from hardware.figures import figures_of_merit, in_words
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
 from hardware.motions import Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
+from hardware.scene import AUTO, CLOCK, HOLDING, NOTHING, OF_AN_OBJECT
 from hardware.state_machine import Event, State
 
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
+_HELD = replace(HOLDING, object=(AUTO,))
+_SETTINGS = tuple(name for name in SceneConfig.__dataclass_fields__ if name not in CLOCK)
 _BLIND = ("hold", "sine")  # controllers that do not go by touch
 INTERRUPTED = 130
 
@@ -38,7 +44,9 @@ class Run(HandOptions):
     """Run a controller on the hand; log and report in a folder.
 
     The hand first goes to the grasp of the object named, at the speed limit, while somebody (or
-    the emulator) holds the object in place; 1 s later the controller starts. Ctrl-C holds for 0.2 s
+    the emulator) holds the object in place; 1 s later the controller starts. --object is the
+    object's name, none, or auto: a cylinder, or none for sine. What a real hand cannot be told,
+    pushes and noise for example, is for --emulate. Ctrl-C holds for 0.2 s
     and takes the torque off; a second one takes it off at once.
     """
 
@@ -48,22 +56,15 @@ class Run(HandOptions):
     """How long the controller runs [s]."""
     rate: float | None = None
     """Control rate [Hz]; none: 50, or the rate that a learned policy was trained at."""
-    object: str = "auto"
-    """What is held: cube, cylinder, sphere...; none; auto: cylinder, or none for sine."""
-    gravity: str = "up"
-    """Which way the palm looks: up or down."""
     tactile: str | None = None
     """Serial port of the tactile fingertips; emulated ones need none."""
-    speed_limit: float = REAL_SPEED
-    """Fastest set-point of a joint [rad/s], at most 3."""
-    torque_limit: float = REAL_TORQUE
-    """Largest torque of a joint [N m], at most 3."""
     seed: int = 0
-    """Seed of the controller's random numbers."""
+    """Seed of the random numbers of the controller, and of an emulated scene."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html."""
-    json: bool = False
+    json: Switch = False
     """Print one JSON object instead of the summary."""
+    scene: Annotated[SceneConfig, only(_HELD, *_SETTINGS)] = _HELD
 
     def run(self) -> int:
         self.check()
@@ -71,13 +72,8 @@ class Run(HandOptions):
         if asked is not None and not (np.isfinite(asked) and 1.0 <= asked <= 500.0):
             raise InvalidInput(f"--rate is {asked}; expected 1 to 500 Hz")
         check_seconds(self.seconds, PERIOD if asked is None else 1.0 / asked)
-        if self.gravity not in ("up", "down"):
-            raise UnknownName("palm direction", self.gravity, ("up", "down"))
-        limits = self.limits(self.speed_limit, self.torque_limit)
+        limits, held = self.limits(), self.held()
         blind = self.controller in _BLIND
-        held = self.object
-        if held == "auto":
-            held = "none" if self.controller == "sine" else "cylinder"
         if not (blind or self.emulate or self.tactile):
             raise InvalidInput(
                 f"{self.controller} goes by touch; expected --tactile PORT (or --emulate)"
@@ -88,14 +84,7 @@ class Run(HandOptions):
         folder = make_folder(self.out)
         with ExitStack() as stack:
             session = stack.enter_context(
-                self.open(
-                    limits,
-                    period,
-                    dynamics="mujoco",
-                    object=held,
-                    gravity=self.gravity,
-                    tactile=self.tactile,
-                )
+                self.open(limits, period, held=held, tactile=self.tactile, seed=self.seed)
             )
             log = stack.enter_context(LogWriter(folder / "run.mcap"))
             log.write("/run", self._about(calibration, limits, held, period))
@@ -118,12 +107,35 @@ class Run(HandOptions):
             console.print(f"the log is incomplete: {log.error}")
         return finish(found, folder, as_json=self.json)
 
+    def held(self) -> SceneConfig:
+        """The scene, with the object that auto stands for.
+
+        Raises:
+            UnknownName: no such object.
+            InvalidInput: several objects, or settings of one in an empty hand.
+        """
+        if len(self.scene.object) != 1:
+            raise InvalidInput(f"--object is {' '.join(self.scene.object)}; expected one object")
+        (name,) = self.scene.object
+        if name == AUTO:
+            name = NOTHING if self.controller == "sine" else HOLDING.object[0]
+        if name == NOTHING:
+            given = [path for path in self._given() if path in OF_AN_OBJECT]
+            if given:
+                raise InvalidInput(f"{flags(given)} is of an object; --object is none")
+        else:
+            from dexctl.sim.objects import MESH, object_names
+
+            check_name("object", name, (NOTHING, AUTO, *object_names(), MESH))
+        return replace(self.scene, object=(name,))
+
     def _about(
-        self, calibration: Calibration, limits: Limits, held: str, period: float
+        self, calibration: Calibration, limits: Limits, held: SceneConfig, period: float
     ) -> dict[str, Any]:
         return about(self, self.controller, calibration, limits) | {
-            "object": held,
-            "palm": self.gravity,
+            "object": held.object[0],
+            "palm": held.palm,
+            "scene": to_plain(held),
             "rate_hz": 1.0 / period,
             "seed": self.seed,
         }
@@ -138,14 +150,14 @@ def about(
     return {
         "controller": controller,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "hand": options.hand,
+        "hand": options.scene.hand,
         "emulated": options.emulate,
         "joints": list(calibration.joint_names),
         "servos": calibration.servo.tolist(),
         "calibration_date": calibration.date.isoformat(),
-        "stiffness_nm_per_rad": options.stiffness,
-        "damping_nms_per_rad": options.damping,
-        "action_latency_s": options.action_latency,
+        "stiffness_nm_per_rad": options.scene.stiffness,
+        "damping_nms_per_rad": options.scene.damping,
+        "action_latency_s": options.scene.limits.action_latency,
         "limits": asdict(limits),
         "machine": machine(),
     }

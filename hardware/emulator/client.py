@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
 
+from dexctl.settings import to_plain
+from hardware.emulator.config import EmulatorConfig
 from hardware.exceptions import BusError
 
 START_TIMEOUT = 120.0  # s: MuJoCo has to settle a grasp first, on a busy machine
@@ -28,16 +30,7 @@ class Emulator:
 
     Args:
         servos: how many first-order joints.
-        ids: of the servos; default 1 to n.
-        zeros: ticks that each shows with its shaft at 0 rad; default 2048, half a turn.
-        signs: +1 or -1, which way each is mounted.
-        start: where first-order joints start [rad].
-        dynamics: "first-order", or "mujoco" for a simulated hand.
-        hand, object, gravity: of the simulated hand; object "none" leaves it empty.
-        action_latency: from a goal's arrival to its effect [s].
-        seed: of random faults.
-        manual: time passes only by :meth:`advance`, so that a busy machine changes nothing.
-        fast: whether the servos know fast reads.
+        settings: others of `EmulatorConfig`, by name.
 
     Attributes:
         port: path of the pseudo-terminal.
@@ -47,40 +40,9 @@ class Emulator:
         BusError: it does not start; the message says why.
     """
 
-    def __init__(
-        self,
-        servos: int = 15,
-        *,
-        ids: Sequence[int] | None = None,
-        zeros: Sequence[int] | None = None,
-        signs: Sequence[int] | None = None,
-        start: Sequence[float] | None = None,
-        dynamics: str = "first-order",
-        hand: str = "dex5",
-        object: str = "cylinder",  # noqa: A002 (the field's name for it)
-        gravity: str = "up",
-        action_latency: float = 0.0,
-        seed: int = 0,
-        manual: bool = False,
-        fast: bool = True,
-    ) -> None:
-        command = [sys.executable, "-m", "hardware.emulator"]
-        options = {
-            "servos": servos,
-            "dynamics": dynamics,
-            "hand": hand,
-            "object": object,
-            "gravity": gravity,
-            "action-latency": float(action_latency),
-            "seed": seed,
-        }
-        for name, value in options.items():
-            command += [f"--{name}", str(value)]
-        lists = (("ids", ids), ("zeros", zeros), ("signs", signs), ("start", start))
-        for name, values in lists:
-            if values is not None:
-                command += [f"--{name}", *(repr(value) for value in values)]
-        command += ["--manual"] * manual + ["--no-fast"] * (not fast)
+    def __init__(self, servos: int = 15, **settings: Any) -> None:
+        config = EmulatorConfig(servos=servos, **settings)
+        command = [sys.executable, "-m", "hardware.emulator", json.dumps(to_plain(config))]
         self._lock = threading.Lock()
         self._line = b""
         # a session of its own: Ctrl-C in the terminal is for the run, and it may still be starting
@@ -202,6 +164,10 @@ class Emulator:
     def turn(self, q: Sequence[float]) -> None:
         """Turn the limp shafts of first-order joints by hand, to ``(n,)`` [rad]."""
         self.ask("turn", q=[float(angle) for angle in q])
+
+    def grasp(self) -> list[float] | None:
+        """Set-points of the grasp that a simulated hand starts in [rad]; None where it is empty."""
+        return self.ask("grasp")
 
     def touch(self) -> dict[str, Any] | None:
         """What the simulated fingertips feel, or None with first-order joints.

@@ -148,6 +148,15 @@ class Joints(ABC):
         late[:-1], late[-1] = late[1:].copy(), goal
         return due
 
+    @property
+    def measured(self) -> Floats:
+        """What the servos' encoders tell, ``(n,)`` [rad]."""
+        return self.q
+
+    def grasp(self) -> list[float] | None:
+        """Set-points of the grasp that the joints start in [rad], if they hold anything."""
+        return None
+
     def touch(self) -> dict[str, object] | None:
         """What the fingertips feel, if there are any."""
         return None

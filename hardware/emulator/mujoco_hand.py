@@ -11,15 +11,19 @@ person does at a real hand, until every finger has pressed on it for a while.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from dexctl.exceptions import UnknownName
-from dexctl.sim import BatchSimulator, Scene, object_names
+from dexctl.exceptions import InvalidInput
+from dexctl.limits import HandLimits
+from dexctl.sim import Push, SceneConfig, Sensing, Simulation
+from dexctl.sim.scene import TIMESTEP
 from dexctl.state import Floats
 from hardware.emulator.dynamics import STALL_TORQUE, Joints
 from hardware.registers import OperatingMode
+from hardware.scene import HOLDING, NOTHING
 
-NOTHING = "none"
 FAR = 10.0  # m from the hand: where the object of an empty hand starts its fall
 GEAR_FRICTION = 0.1  # N m that holds a joint while its torque is off (ours)
 PRESSING_FORCE = 1.0  # N by every finger, over
@@ -27,53 +31,54 @@ PRESSING_TIME = 0.3  # s, and the object is let go
 
 
 class MujocoHand(Joints):
-    """A hand of `dexctl.hands` in MuJoCo, one servo per joint, in the order of its joints.
+    """A simulated hand, one servo per joint, in the order of its joints.
 
-    It starts in the settled grasp, or open where it holds nothing.
+    It starts in the settled grasp or in one of the given states, or open where it holds nothing.
 
     Args:
-        hand: its name.
-        object: what it holds, one of `dexctl.sim.object_names`, or "none".
-        gravity: "up" or "down", which way the palm looks.
-        seed: of the simulator's random streams.
+        scene: the hand and its one object, or "none". Gains and limits are the servos', and the
+            fingertips tell of the weakest touch: what counts is for whoever reads them.
+        seed: of the scene's random streams.
 
     Attributes:
         supported: whether somebody holds the object still.
 
     Raises:
-        UnknownName: no such hand, object or gravity.
+        UnknownName: no such object.
+        InvalidInput: several objects.
+        SimulationError: the hand does not hold the object.
     """
 
-    def __init__(
-        self,
-        hand: str = "dex5",
-        object: str = "cylinder",  # noqa: A002 (the field's name for it)
-        gravity: str = "up",
-        seed: int = 0,
-    ) -> None:
-        self._empty = object == NOTHING
-        if not self._empty and object not in object_names():
-            raise UnknownName("object", object, [*object_names(), NOTHING])
-        scene = Scene.build(hand, "cube" if self._empty else object, gravity)
-        timestep = float(scene.model.opt.timestep)
-        self._sim = BatchSimulator(
-            scene, control_period=timestep, substeps=1, threads=1, disturbance=0.0, seed=seed
-        )
+    def __init__(self, scene: SceneConfig = HOLDING, seed: int = 0) -> None:
+        if len(scene.object) != 1:
+            raise InvalidInput(f"object is {', '.join(scene.object)}; expected one")
+        self._empty = scene.object == (NOTHING,)
+        self._sim = Simulation(_bare(scene, self._empty), 1, seed)
+        physics = self._sim.sim.groups[0].scene
         if self._empty:
-            far = scene.grasp_centre + FAR * scene.gravity / np.linalg.norm(scene.gravity)
-            self._sim.set_grasp(scene.open_q, scene.open_q, far, [1.0, 0.0, 0.0, 0.0])
-        self._state = self._sim.read()
-        super().__init__(self._state.q, timestep)
+            far = physics.grasp_centre + FAR * physics.gravity / np.linalg.norm(physics.gravity)
+            there = (physics.open_q, physics.open_q, far, np.array([1.0, 0.0, 0.0, 0.0]))
+            self._sim.sim.set_grasp(*(value[None] for value in there))
+        self._state = self._seen = self._sim.sim.read()[0]
+        super().__init__(self._state.q, TIMESTEP)
+        self._grasp = None if self._empty else self._state.q_target.tolist()
         self._anchor = self.q.copy()
-        self._kp = np.full(len(self.q), float(scene.stiffness[0]))
+        self._kp = np.full(len(self.q), float(physics.stiffness[0]))
         self._kv = np.zeros(len(self.q))
         self._gains: tuple[float, float] | None = None
         self.supported = not self._empty
         self._held_at = self._object_pose()
         self._pressed = 0.0
 
+    @property
+    def measured(self) -> Floats:
+        return self._seen.q
+
+    def grasp(self) -> list[float] | None:
+        return self._grasp
+
     def touch(self) -> dict[str, object]:
-        s = self._state
+        s, truth = self._seen, self._state
         return {
             "time": float(s.time),
             "age": float(s.age),
@@ -82,8 +87,8 @@ class MujocoHand(Joints):
             "normal": s.contact_normal.tolist(),
             "force": s.contact_force.tolist(),
             "supported": self.supported,
-            "object_position": None if self._empty else _list(s.object_position),
-            "object_quaternion": None if self._empty else _list(s.object_quaternion),
+            "object_position": None if self._empty else _list(truth.object_position),
+            "object_quaternion": None if self._empty else _list(truth.object_quaternion),
         }
 
     def support(self, supported: bool) -> None:
@@ -95,10 +100,11 @@ class MujocoHand(Joints):
     def _step(self, h: float) -> None:
         self._take_gains()
         wanted = self._set_points()
-        self._sim.write(wanted)
+        self._sim.write(wanted[None])
         self._sim.step()
+        self._seen = self._sim.read()[0]
         self._hold_object(h)
-        self._state = self._sim.read()
+        self._state = self._sim.sim.read()[0]
         self.velocity = (self._state.q - self.q) / h
         self.q = self._state.q
         force = self._kp * (wanted - self.q) - self._kv * self.velocity
@@ -115,7 +121,7 @@ class MujocoHand(Joints):
         same = (c.kp[driven] == kp).all() and (c.kd[driven] == kd).all()
         if same and kp > 0 and (kp, kd) != self._gains:
             self._gains = (kp, kd)
-            self._sim.set_parameters(kp=kp, kv=kd)
+            self._sim.sim.set_parameters(kp=kp, kv=kd)
             self._kp[:], self._kv[:] = kp, kd
 
     def _set_points(self) -> Floats:
@@ -137,17 +143,35 @@ class MujocoHand(Joints):
         """Keep a supported object still until every finger has pressed on it for long enough."""
         if not self.supported:
             return
-        self._sim.place_object(*self._held_at)
+        position, quaternion = self._held_at
+        self._sim.sim.place_object(position[None], quaternion[None])
         pressing = (self._state.contact_force >= PRESSING_FORCE).all()
         driven = self.commands.torque_on.all()
         self._pressed = self._pressed + h if pressing and driven else 0.0
         self.supported = self._pressed < PRESSING_TIME
 
     def _object_pose(self) -> tuple[Floats, Floats]:
-        state = self._sim.read()
+        state = self._state
         assert state.object_position is not None
         assert state.object_quaternion is not None
-        return state.object_position, state.object_quaternion
+        return state.object_position.copy(), state.object_quaternion.copy()
+
+
+def _bare(scene: SceneConfig, empty: bool) -> SceneConfig:
+    """``scene`` without what the servos do, at the emulator's timestep."""
+    bare = replace(
+        scene,
+        stiffness=None,
+        damping=None,
+        control_period=TIMESTEP,
+        substeps=1,
+        sensing=replace(scene.sensing, touch_threshold=Sensing().touch_threshold),
+        limits=HandLimits(),
+    )
+    if not empty:
+        return bare
+    nothing = {"object_size": None, "object_mesh": None, "initial_states": None, "push": Push()}
+    return replace(bare, object=("cube",), **nothing)
 
 
 def _list(vector: Floats | None) -> list[float] | None:

@@ -59,6 +59,7 @@ class Server:
             "advance": self._advance,
             "state": lambda: self.chain.state(),
             "support": lambda supported: self.chain.joints.support(supported),
+            "grasp": lambda: self.chain.joints.grasp(),
             "touch": lambda: self.chain.joints.touch(),
             "turn": lambda q: self.chain.joints.turn(q),
             "reset": self._reset,

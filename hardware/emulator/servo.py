@@ -179,7 +179,7 @@ class Servo:
             min(max(current, -885), 885),
             current,
             _int32(speed),
-            _int32(self.ticks(float(j.q[i]))),
+            _int32(self.ticks(float(j.measured[i]))),
             _int32(wanted),
             _int32(self.ticks(float(j.reference[i]))),
         )

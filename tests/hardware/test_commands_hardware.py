@@ -20,6 +20,7 @@ from hardware.cli.calibrate import _EmulatedPerson, from_poses, odd_travels
 from hardware.cli.check import _Look
 from hardware.cli.latency import delays
 from hardware.cli.options import HandOptions
+from hardware.cli.run import Run
 from hardware.emulator import Emulator
 from hardware.figures import figures_of_merit
 from hardware.hand import ServoHand
@@ -68,11 +69,27 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (["run", "sine", "--emulate", "--torque-limit", "nan"], "torque_limit is nan"),
         (["run", "sine", "--emulate", "--seconds", "inf"], "--seconds is inf"),
-        (["run", "sine", "--emulate", "--gravity", "left"], "unknown palm direction 'left'"),
+        (["run", "sine", "--emulate", "--gravity", "left"], "'left'"),
+        (["run", "sine", "--emulate", "--speed-limit", "none"], "--speed-limit is none"),
+        (["run", "sine", "--emulate", "--damping", "none"], "--damping is none"),
+        (["run", "igm", "--emulate", "--object", "cube", "sphere"], "expected one object"),
+        (
+            ["run", "sine", "--emulate", "--object-mass", "0.2", "--push-force", "1"],
+            "--object-mass, --push-force is of an object; --object is none",
+        ),
+        (
+            ["run", "sine", "--push-force", "1", "--joint-noise", "0.1", "--action-latency", "0.1"],
+            "--joint-noise, --push-force, --action-latency: a real hand cannot be told",
+        ),
+        (["run", "igm", "--emulate", "--control-period", "0.1"], "--control-period"),
+        (["check", "--emulate", "--object-mass", "0.2"], "--object-mass"),
+        (["check", "--action-latency", "0.1"], "--action-latency: a real hand cannot be told"),
+        (["latency", "--emulate", "--action-latency", "2"], "--action-latency is 2.0; expected"),
+        (["replay", "a.mcap", "--speed-limit", "1"], "--speed-limit"),
         (["run", "nowhere:make", "--emulate"], "'nowhere:make'; it cannot be loaded"),
         (["run", "hold", "--emulate", "--object", "pear"], "unknown object 'pear'"),
         (["run", "sine", "--emulate", "--patience", "0"], "patience is 0.0"),
-        (["run", "sine", "--emulate", "--stiffness", "-1"], "kp is -1.0"),
+        (["run", "sine", "--emulate", "--stiffness", "-1"], "stiffness is -1.0"),
         (["check", "--hand", "claw"], "unknown hand 'claw'"),
         (["check", "--calibration", "none.toml"], "none.toml is no calibration file"),
         (["check", "--emulate", "--reboot", "300"], "--reboot is 300"),
@@ -91,6 +108,19 @@ def test_bad_arguments(
     assert main(["hardware", *words, *out]) == 2
     error = capsys.readouterr().err
     assert said in error and len(error.strip().splitlines()) == 1
+
+
+def test_the_servos_are_told_what_they_always_were() -> None:
+    for options in (HandOptions(), Run(controller="igm")):
+        limits = options.limits()
+        assert (limits.speed_limit, limits.torque_limit) == (0.6, 0.5)
+        assert options.gains(limits) == (168, 1053, 143, 25)
+    assert Run(controller="igm").scene.sensing.touch_threshold == 1.0
+
+
+def test_what_auto_holds() -> None:
+    for controller, held in (("sine", "none"), ("hold", "cylinder"), ("igm", "cylinder")):
+        assert Run(controller=controller).held().object == (held,)
 
 
 def test_a_port_must_be_named_or_the_only_one(monkeypatch: pytest.MonkeyPatch) -> None:

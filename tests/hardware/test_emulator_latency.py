@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from dexctl.exceptions import InvalidInput
+from dexctl.limits import HandLimits
+from dexctl.sim import SceneConfig
 from hardware import registers as R  # noqa: N812
 from hardware.bus import Bus
 from hardware.emulator import Emulator
@@ -17,10 +19,14 @@ from hardware.exceptions import BusError
 IDS = range(1, 4)
 
 
+def late_by(seconds: float) -> SceneConfig:
+    return SceneConfig(limits=HandLimits(action_latency=seconds))
+
+
 @pytest.fixture
 def late() -> Iterator[Emulator]:
     pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
-    with Emulator(3, manual=True, action_latency=0.05) as emulator:
+    with Emulator(3, manual=True, scene=late_by(0.05)) as emulator:
         yield emulator
 
 
@@ -61,7 +67,7 @@ def test_bad_latency() -> None:
         with pytest.raises(InvalidInput, match=f"action_latency is {latency}; expected 0 to 1 s"):
             joints.set_action_latency(latency)
     with pytest.raises(BusError, match="does not start: action_latency is 2.0"):
-        Emulator(3, action_latency=2.0)
+        Emulator(3, scene=late_by(2.0))
 
 
 def test_limp_shafts_are_turned_by_hand(late: Emulator, bus: Bus) -> None:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from dexctl.exceptions import InvalidInput
+from dexctl.settings import changed
 from dexctl.sim import BatchSimulator, Scene
 from hardware import registers as R  # noqa: N812
 from hardware.bus import Bus
 from hardware.emulator import Emulator
 from hardware.emulator.mujoco_hand import MujocoHand
+from hardware.scene import EMPTY, HOLDING
 from hardware.units import ServoGains, SimGains, to_servo, to_sim
 
 GAINS = to_servo(SimGains(kp=3.0, kv=0.15, torque_limit=0.5, speed_limit=0.6))
@@ -23,6 +28,45 @@ def hand() -> Iterator[Emulator]:
     pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     with Emulator(dynamics="mujoco", manual=True) as emulator:
         yield emulator
+
+
+def holding(**changes: Any) -> MujocoHand:
+    return MujocoHand(changed(replace(HOLDING, object=("cube",)), changes), seed=3)
+
+
+def test_the_object_is_the_one_asked_for() -> None:
+    usual, other = holding(), holding(object_mass=0.2, object_size=0.07, gravity="down")
+    for hand, mass, width, down in ((usual, 0.1, 0.1, -9.81), (other, 0.2, 0.07, 9.81)):
+        scene = hand._sim.sim.groups[0].scene
+        assert scene.model.body("object").mass == pytest.approx(mass)
+        assert (scene.object_width, scene.model.opt.gravity[2]) == pytest.approx((width, down))
+        assert hand.grasp() == pytest.approx(scene.settled.q_target.tolist())
+    assert MujocoHand(EMPTY).grasp() is None
+
+
+def test_joints_are_told_with_noise_and_late_and_move_as_before() -> None:
+    plain, noisy = holding(), holding(joint_noise=0.01, force_noise=0.1, sensor_latency=0.02)
+    for hand in (plain, noisy):
+        hand.advance(0.1)
+    assert np.array_equal(plain.q, noisy.q)
+    assert np.array_equal(plain.measured, plain.q)
+    assert 0.003 < np.abs(noisy.measured - noisy.q).mean() < 0.03
+    assert noisy.touch()["age"] == pytest.approx(0.02)
+
+
+def test_pushes_move_what_nobody_holds() -> None:
+    moved = []
+    for hand in (holding(), holding(push_force=5.0)):
+        hand.support(False)
+        start = np.array(hand.touch()["object_position"])
+        hand.advance(0.2)
+        moved.append(np.array(hand.touch()["object_position"]) - start)
+    assert np.linalg.norm(moved[1] - moved[0]) > 1e-3
+
+
+def test_several_objects_do_not_fit() -> None:
+    with pytest.raises(InvalidInput, match="object is cube, sphere; expected one"):
+        holding(object=("cube", "sphere"))
 
 
 def arm(bus: Bus, gains: ServoGains = GAINS, speed: int | None = None) -> None:
@@ -80,7 +124,7 @@ def test_same_trace_as_the_bare_simulator() -> None:
     below = scene.grasp_centre + np.array([0.0, 0.0, -10.0])
     with (
         BatchSimulator(scene, control_period=STEP, substeps=1, disturbance=0.0) as bare,
-        Emulator(dynamics="mujoco", object="none", manual=True) as emulator,
+        Emulator(dynamics="mujoco", scene=EMPTY, manual=True) as emulator,
         Bus(emulator.port, range(1, 16), timeout=1.0) as bus,
     ):
         bare.set_parameters(kp=gains.kp, kv=gains.kv)
@@ -104,7 +148,7 @@ def test_same_trace_as_the_bare_simulator() -> None:
 
 
 def test_current_limit_and_torque_off_bound_the_torque() -> None:
-    hand = MujocoHand(object="none")
+    hand = MujocoHand(EMPTY)
     c = hand.commands
     c.torque_on[:], c.mode[:] = True, int(R.OperatingMode.CURRENT_BASED_POSITION)
     c.kp[:], c.kd[:], c.limit[:] = 3.0, 0.15, 0.02
@@ -117,7 +161,7 @@ def test_current_limit_and_torque_off_bound_the_torque() -> None:
 
 
 def test_the_object_of_an_empty_hand_falls_and_is_no_fault() -> None:
-    hand = MujocoHand(object="none")
+    hand = MujocoHand(EMPTY)
     hand.advance(20.0)  # 2 km
     assert not hand._sim.diverged
     assert hand.touch()["object_position"] is None

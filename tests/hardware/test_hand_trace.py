@@ -13,6 +13,7 @@ from hardware.exceptions import BusError
 from hardware.hand import ServoHand
 from hardware.limits import Limits
 from hardware.motions import Sine
+from hardware.scene import EMPTY
 from hardware.state_machine import Torque
 from hardware.units import SimGains, to_servo
 
@@ -41,7 +42,7 @@ def test_without_an_object_the_joints_trace_the_same_path(dex5: dexctl.HandModel
             sim.step()
     gains = to_servo(SimGains(3.0, 0.15, 0.5, 0.6))
     with (
-        Emulator(dynamics="mujoco", object="none", manual=True) as emulator,
+        Emulator(dynamics="mujoco", scene=EMPTY, manual=True) as emulator,
         Bus(emulator.port, range(1, 16), timeout=0.05) as bus,
     ):
         hand = ServoHand(bus, dex5, limits=LIMITS, gains=gains, control_period=PERIOD)

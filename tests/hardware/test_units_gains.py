@@ -13,6 +13,7 @@ from hardware import registers as R  # noqa: N812
 from hardware.emulator.dynamics import STALL_TORQUE, FirstOrderJoints
 from hardware.emulator.mujoco_hand import MujocoHand
 from hardware.emulator.servo import Servo
+from hardware.scene import EMPTY
 from hardware.units import LoopScale, ServoGains, SimGains, to_servo, to_sim
 
 
@@ -85,7 +86,7 @@ def test_step_response_of_the_first_order_servo() -> None:
 @pytest.mark.parametrize("gains", [SimGains(3.0, 0.15, 0.5, 0.0), SimGains(1.0, 0.04, 0.5, 0.0)])
 def test_step_response_of_mujoco(gains: SimGains) -> None:
     """A servo with converted gains moves the hand's joints as MuJoCo's own actuator does."""
-    hand = MujocoHand(object="none")
+    hand = MujocoHand(EMPTY)
     scene = Scene.build("dex5", "cube")
     below = scene.grasp_centre - np.array([0.0, 0.0, 10.0])
     with BatchSimulator(scene, control_period=0.005, substeps=1, disturbance=0.0) as bare:

@@ -5,20 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-import dexctl
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
 from learning import policies
-from learning.cli_evaluate import Evaluate
-from learning.envs import EnvConfig, Observation, SetPointAction, make_vector
+from learning.cli.evaluate import Evaluate
 from learning.policies import PolicySpec
+
+MakePolicy = Callable[..., str]
 
 
 def run(*arguments: str) -> int:
@@ -27,20 +26,13 @@ def run(*arguments: str) -> int:
     return command.run()
 
 
-@pytest.fixture
-def policy(tmp_path: Path) -> Path:
-    """One that leaves the set-points where they are."""
-    envs = make_vector(EnvConfig(object="cylinder", threads=1), 1, seed=0)
-    path = tmp_path / "still.npz"
-    spec = PolicySpec.of(envs.hand, envs.observation, envs.action, envs.config)
-    policies.save(path, [(np.zeros((15, 65)), np.zeros(15))], spec, {"seed": 7})
-    return path
-
-
-def test_a_policy_as_json(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_policy_as_json(
+    policy_of: MakePolicy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy = policy_of({"seed": 7}, object="cylinder")
     out = tmp_path / "out"
     arguments = ("--object", "cylinder", "cube", "--episodes", "3", "--seconds", "0.5")
-    assert run(str(policy), *arguments, "--json", "--out", str(out)) == 0
+    assert run(policy, *arguments, "--json", "--out", str(out)) == 0
     found = json.loads(capsys.readouterr().out)
     assert found == json.loads((out / "evaluate.json").read_text())
     assert found["card"]["seed"] == 7
@@ -48,7 +40,9 @@ def test_a_policy_as_json(policy: Path, tmp_path: Path, capsys: pytest.CaptureFi
     first = found["results"][0]
     assert first["share_dropped"]["value"] == 0.0
     assert abs(first["rotation_median_rad"]["value"]) < 0.05
-    assert first["noise"] == {"joint": 0.0, "position": 0.0, "normal": 0.0, "force": 0.0}
+    assert set(first["disturbance"].values()) == {0.0}
+    assert found["protocol"]["scene"]["object"] == ["cylinder", "cube"]
+    assert found["protocol"]["episodes"] == 3
     assert len((out / "episodes.csv").read_text().splitlines()) == 1 + 2 * 3
 
 
@@ -58,7 +52,7 @@ def test_a_controller_in_its_place(tmp_path: Path, capsys: pytest.CaptureFixture
     table = capsys.readouterr().out
     assert "2 episodes of 0.1 s" in table
     assert table.count("rotation, rad") == 2  # a table for each object
-    assert table.count("joint 0.1 rad") == 2 and table.count("push 2 N") == 2
+    assert table.count("joint noise 0.1 rad") == 2 and table.count("push force 2 N") == 2
     figures = list(csv.DictReader((tmp_path / "out" / "figures.csv").open()))
     assert len(figures) == 42
     assert figures[4]["joint_noise"] == "0.1"
@@ -80,49 +74,48 @@ def test_one_table_of_figures(capsys: pytest.CaptureFixture[str]) -> None:
     assert float(re.search(r"rotation +([-.0-9]+) rad", table)[1]) > 0.01  # type: ignore[index]
 
 
-def policy_of(folder: Path, card: Mapping[str, Any] | None, **options: Any) -> str:
-    """A policy that leaves the set-points where they are, trained in ``EnvConfig(**options)``."""
-    config = EnvConfig(**options)
-    hand = dexctl.hands.load(config.hand)
-    observation = Observation(hand, config.parts, scaled=config.scaled)
-    action = SetPointAction(
-        hand, max_speed=config.max_speed, max_lead=config.max_lead, control_period=0.05
-    )
-    path = folder / f"{'-'.join(config.objects)}-{config.gravity}.npz"
-    layers = [(np.zeros((hand.nq, observation.size)), np.zeros(hand.nq))]
-    if card is None:
-        card = {"trained": {"env": config.to_dict()}}
-    policies.save(path, layers, PolicySpec.of(hand, observation, action, config), card)
-    return str(path)
-
-
 def test_what_is_not_said_is_as_in_training(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    policy_of: MakePolicy, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """But without noise, late sensors, pushes and given starts."""
     policy = policy_of(
-        tmp_path, None, object=("sphere", "cylinder"), gravity="down", axis=(0.0, 2.0, 0.0),
-        object_mass=0.05,
+        object=("sphere", "cylinder"), gravity="down", axis=(0.0, 2.0, 0.0), object_mass=0.05,
+        control_period=0.1, speed_limit=0.6, max_reward=0.3, touch_threshold=0.1, substeps=20,
+        joint_noise=0.1, sensor_latency=0.1, push_force=1.0, push_seconds=2.0, threads=1,
+        initial_states="states.npz",
     )  # fmt: skip
-    short = ("--episodes", "2", "--seconds", "0.1", "--json")
+    short = ("--episodes", "2", "--seconds", "0.2", "--json")
     assert run(policy, *short) == 0
     found = json.loads(capsys.readouterr().out)
     assert [one["object"] for one in found["results"]] == ["sphere", "cylinder"]
-    assert (found["gravity"], found["axis"]) == ("down", [0.0, 1.0, 0.0])
-    assert (found["object_mass_kg"], found["object_size_m"]) == (0.05, None)
-    assert run(policy, *short, "--object", "cube", "--gravity", "up", "--axis", "z") == 0
+    scene, task = found["protocol"]["scene"], found["protocol"]["task"]
+    assert (scene["gravity"], task["axis"], task["max_reward"]) == ("down", [0.0, 2.0, 0.0], 0.3)
+    assert (scene["object_mass"], scene["control_period"], scene["substeps"]) == (0.05, 0.1, 20)
+    assert (scene["limits"]["speed_limit"], scene["sensing"]["touch_threshold"]) == (0.6, 0.1)
+    assert (scene["sensing"]["joint_noise"], scene["sensing"]["sensor_latency"]) == (0.0, 0.0)
+    assert scene["push"] == {"push_force": 0.0, "push_seconds": 2.0}
+    assert (scene["initial_states"], scene["threads"]) == (None, None)
+    others = ("--object", "cube", "--gravity", "up", "--axis=-z", "--push-force", "0.5")
+    assert run(policy, *short, *others) == 0
     found = json.loads(capsys.readouterr().out)
     assert [one["object"] for one in found["results"]] == ["cube"]
-    assert (found["gravity"], found["axis"]) == ("up", [0.0, 0.0, 1.0])
+    assert (found["protocol"]["scene"]["gravity"], found["protocol"]["task"]["axis"]) == (
+        "up",
+        "-z",
+    )
+    assert found["results"][0]["disturbance"]["push_force"] == 0.5
 
 
-def test_the_transfer_matrix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sphere = policy_of(tmp_path, None, object="sphere")
-    out = tmp_path / "out"
+def test_the_transfer_matrix(
+    policy_of: MakePolicy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sphere, out = policy_of(object="sphere", object_mass=0.05), tmp_path / "out"
     arguments = ("--episodes", "2", "--seconds", "0.2", "--object", "cube", "--out", str(out))
     assert run("--transfer", sphere, "cylinder=igm", *arguments) == 0
     table = capsys.readouterr().out
     assert "policy of" in table
     found = json.loads((out / "evaluate.json").read_text())
+    assert found["protocol"]["scene"]["object_mass"] == 0.05
     matrix = found["transfer"]
     assert matrix["objects"] == ["sphere", "cylinder", "cube"]
     assert [one["object"] for one in matrix["policies"]] == ["sphere", "cylinder"]
@@ -159,65 +152,81 @@ def of_format(path: str, number: int) -> str:
     return path
 
 
-BAD: dict[str, tuple[Callable[[Path], list[str]], str]] = {
-    "controller": (lambda _: ["gate"], r"unknown policy 'gate'; known: a policy file \(\.npz\)"),
-    "no file": (lambda f: [str(f / "none.npz")], "policy .*none.npz': no such file"),
-    "cut off": (lambda f: [cut(policy_of(f, None))], "cube-up.npz' is not a policy file"),
+BAD: dict[str, tuple[Callable[[MakePolicy, Path], list[str]], str]] = {
+    "controller": (lambda p, _: ["gate"], "unknown controller 'gate'; known: igm, .*dex5-cylinder"),
+    "no file": (lambda p, f: [str(f / "none.npz")], "policy .*none.npz': no such file"),
+    "no run": (lambda p, f: [str(f)], "is no run folder: it has no config.json"),
+    "cut off": (lambda p, _: [cut(p())], "cube-up.npz' is not a policy file"),
     "no card": (
-        lambda f: [without_card(policy_of(f, None))],
-        "cube-up.npz' is not a policy file: it holds no card",
+        lambda p, _: [without_card(p())], "cube-up.npz' is not a policy file: it holds no card"
     ),
-    "format": (lambda f: [of_format(policy_of(f, None), 9)], "has format 9; expected 1"),
+    "format": (lambda p, _: [of_format(p(), 9)], "has format 9; expected 1"),
     "card of another version": (
-        lambda f: [policy_of(f, {"trained": {"env": {"colour": "red"}}})],
+        lambda p, _: [p({"trained": {"env": {"colour": "red"}}})],
         "card of policy '.*cube-up.npz' is of another version: .*colour",
     ),
     "hand": (
-        lambda f: [of_another_hand(f), "--hand", "dex5"],
+        lambda p, f: [of_another_hand(f), "--hand", "dex5"],
         r"the policy is for the hand 'paw' \(2 joints, 1 fingers\); got 'dex5' \(15 joints",
     ),
-    "hand that is not there": (lambda f: [of_another_hand(f)], "unknown hand 'paw'; known: dex5"),
+    "hand not there": (lambda p, f: [of_another_hand(f)], "unknown hand 'paw'; known: dex5"),
     "parts": (
-        lambda f: [policy_of(f, None), "--parts", "q", "touch"],
+        lambda p, _: [p(), "--parts", "q", "touch"],
         "the policy was trained with the observation parts q, q_target, .*; got q, touch",
     ),
-    "part": (
-        lambda f: [policy_of(f, None), "--parts", "smell"], "unknown observation part 'smell'"
+    "part": (lambda p, _: [p(), "--parts", "smell"], "unknown observation part 'smell'"),
+    "period": (
+        lambda p, _: [p(), "--control-period", "0.1"],
+        "control_period is 0.1; the policy '.*cube-up.npz' was trained with 0.05",
     ),
-    "object": (lambda _: ["hold", "--object", "brick"], "unknown object 'brick'; known: cube"),
-    "axis": (lambda _: ["hold", "--axis", "w"], "unknown axis 'w'; known: x, y, z"),
-    "seconds": (lambda _: ["hold", "--seconds", "0"], "--seconds is 0"),
-    "episodes": (lambda _: ["hold", "--episodes", "0"], "--episodes is 0"),
-    "nothing": (lambda _: [], "got neither of a policy and --transfer"),
-    "both": (lambda _: ["hold", "--transfer", "cube=igm"], "got both of a policy and --transfer"),
+    "object": (lambda p, _: ["hold", "--object", "brick"], "unknown object 'brick'; known: cube"),
+    "axis": (lambda p, _: ["hold", "--axis", "w"], "unknown axis 'w'; known: x, y, z"),
+    "latency": (lambda p, _: ["hold", "--sensor-latency", "-1"], "sensor_latency is -1"),
+    "seconds": (lambda p, _: ["hold", "--seconds", "0"], "seconds is 0"),
+    "too short": (lambda p, _: ["hold", "--seconds", "0.01"], "--seconds is 0.01"),
+    "episodes": (lambda p, _: ["hold", "--episodes", "0"], "episodes is 0"),
+    "nothing": (lambda p, _: [], "got neither of a policy and --transfer"),
+    "both": (
+        lambda p, _: ["hold", "--transfer", "cube=igm"], "got both of a policy and --transfer"
+    ),
     "transfer and robustness": (
-        lambda _: ["--robustness", "--transfer", "cube=igm", "sphere=igm"],
+        lambda p, _: ["--robustness", "--transfer", "cube=igm", "sphere=igm"],
         "got --transfer and --robustness",
     ),
-    "transfer of one": (lambda _: ["--transfer", "cube=igm"], "got 1 policies for a transfer"),
+    "transfer of one": (lambda p, _: ["--transfer", "cube=igm"], "got 1 policies for a transfer"),
     "transfer object": (
-        lambda _: ["--transfer", "brick=igm", "cube=igm"], "unknown object 'brick'; known: cube"
+        lambda p, _: ["--transfer", "brick=igm", "cube=igm"],
+        "unknown object 'brick'; known: cube",
     ),
     "transfer without card": (
-        lambda f: ["--transfer", policy_of(f, {}), "sphere=igm"],
+        lambda p, _: ["--transfer", p({}), "sphere=igm"],
         "'.*cube-up.npz' has no such card: give it, as in cube=.*cube-up.npz",
     ),
     "transfer of several": (
-        lambda f: ["--transfer", policy_of(f, None, object=("cube", "sphere")), "sphere=igm"],
+        lambda p, _: ["--transfer", p(object=("cube", "sphere")), "sphere=igm"],
         "was trained on cube and sphere: give it, as in cube=",
     ),
     "transfer up and down": (
-        lambda f: [
-            "--transfer", policy_of(f, None), policy_of(f, None, object="sphere", gravity="down")
-        ],
+        lambda p, _: ["--transfer", p(), p(object="sphere", gravity="down")],
         "the policies were trained with gravity up and down; say which with --gravity",
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input(case: str, tmp_path: Path) -> None:
+def test_bad_input(case: str, policy_of: MakePolicy, tmp_path: Path) -> None:
     arguments, said = BAD[case]
     with pytest.raises((InvalidInput, UnknownName), match=said) as caught:
-        run(*arguments(tmp_path))
+        run(*arguments(policy_of, tmp_path))
     assert "\n" not in str(caught.value)
+
+
+def test_several_policies_do_where_it_is_said(
+    policy_of: MakePolicy, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = (policy_of(), policy_of(object="sphere", gravity="down"))
+    short = ("--episodes", "1", "--seconds", "0.1", "--json")
+    assert run("--transfer", *names, *short, "--gravity", "down") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["protocol"]["scene"]["gravity"] == "down"
+    assert found["transfer"]["objects"] == ["cube", "sphere"]

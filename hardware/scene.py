@@ -1,0 +1,37 @@
+"""The scene of a servo hand: what `dexctl.sim.SceneConfig` says of it, and where that counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from dexctl.limits import REAL_SPEED, REAL_TORQUE, HandLimits
+from dexctl.sim.scene_config import SceneConfig
+from dexctl.sim.sensing import Sensing
+from hardware.tactile import TRUSTED_FORCE
+
+NOTHING = "none"
+"""In place of an object's name: the hand is empty."""
+AUTO = "auto"
+"""In place of an object's name: what the controller is usually tried with."""
+
+HOLDING = SceneConfig(
+    object=("cylinder",),
+    stiffness=3.0,
+    damping=0.15,
+    disturbance=0.0,
+    sensing=Sensing(touch_threshold=TRUSTED_FORCE),
+    limits=HandLimits(speed_limit=REAL_SPEED, torque_limit=REAL_TORQUE),
+)
+"""The hand of the thesis on servos, with an object in it; its latency is what the servos have."""
+EMPTY = replace(HOLDING, object=(NOTHING,))
+"""The same hand with nothing in it."""
+
+CLOCK = ("control_period", "substeps")
+"""Settings that a servo hand does not have: its control period is the controller's."""
+OF_A_REAL_HAND = (
+    "hand", "object", "object_size", "object_mass", "object_mesh", "gravity", "stiffness",
+    "damping", "sensing.touch_threshold", "limits.speed_limit", "limits.torque_limit",
+)  # fmt: skip
+"""Settings that count on a real hand too; those of the object say how to grasp it."""
+OF_AN_OBJECT = ("object_size", "object_mass", "object_mesh", "initial_states", "push.push_force")
+"""Settings that mean nothing in an empty hand."""
