@@ -124,9 +124,8 @@ def test_tables_can_be_put_together_by_path() -> None:
         "scene.noise.rate": 2.0, "scene.size": 1.0, "scene.noise.joint": 0.1, "rate": 3.0,
     }  # fmt: skip
     for wrong, said in (
-        ({"scene.noise": 3}, "a.scene.noise is 3"),
-        ({"joint": "x"}, "a.scene.noise.jo"),
-    ):
+        ({"scene.noise": 3}, "a.scene.noise is 3"), ({"joint": "x"}, "a.scene.noise.jo"),
+    ):  # fmt: skip
         with pytest.raises(InvalidInput, match=said):
             by_path(Run, wrong, "a")
 

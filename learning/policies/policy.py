@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,9 +14,6 @@ from dexctl.hand import HandModel
 from dexctl.state import Floats, GraspState
 from learning.envs.action import SetPointAction
 from learning.envs.observation import Observation, check_parts
-
-if TYPE_CHECKING:
-    pass
 
 
 def _relu(x: Floats) -> Floats:
