@@ -6,7 +6,6 @@ The same controllers with no code of their own. Needs the hand's files: a folder
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -91,12 +90,8 @@ def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    beside = Path(__file__).resolve().parents[2] / "shared" / "hands"
-    folder = given.folder
-    if folder is None and not os.environ.get("DEXCTL_MENAGERIE") and beside.is_dir():
-        folder = beside
     try:
-        hand = hands.load("wonik_allegro", folder=folder)
+        hand = hands.load("wonik_allegro", folder=given.folder)
     except HandModelError as error:
         print(f"skipped: {error}")
         return

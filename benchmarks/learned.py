@@ -22,7 +22,7 @@ import dexctl
 from dexctl import controllers
 from dexctl.controller import Controller
 from learning import policies
-from learning.evaluate import Protocol, evaluate
+from learning.evaluation import Protocol, evaluate
 
 OBJECTS = ("cylinder", "cube", "sphere", "icosahedron", "dodecahedron")
 COMPARED = ("igm", "gait", "coordinated")
@@ -50,7 +50,7 @@ class Options(Settings):
 def measure(controller: Controller, turned: str, given: Options) -> dict[str, Any]:
     """One controller, one object."""
     protocol = Protocol(episodes=given.trials, seconds=given.seconds, seed=given.seed)
-    found = evaluate(controller, turned, protocol)
+    found = evaluate(controller, protocol, object=turned)
     return {
         "object": turned,
         "rotation_rad": over_seeds(found.rotation),

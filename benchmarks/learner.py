@@ -16,21 +16,26 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import stable_baselines3
 import torch
 from common import THREADS, Figure, Settings, progress, ratio, settings, write
-from learner_profile import PARTS, profiled
-from stable_baselines3 import SAC
+from learner_profile import PARTS, profiled_ours, profiled_stock
+from stock_sac import stock_sac
 
-from learning.agents import StableBaselinesVecEnv
-from learning.envs import EnvConfig, make_vector
-from learning.exploration import GuidanceConfig
-from learning.settings import TrainConfig
-from learning.train import build
+from dexctl.settings import to_plain
+from dexctl.sim.scene_config import SceneConfig
+from learning.algorithms.config import SACConfig
+from learning.config import TrainConfig
+from learning.envs.config import EnvConfig
+from learning.exploration.config import GuidanceConfig
+from learning.training.run_folder import RunFolder
+from learning.training.trainer import Trainer
 
 STOCK = ("stock", "stock_two_threads")
 # name: title, and the least ratio to stock that was asked for
@@ -64,50 +69,71 @@ def config(given: Options, method: str, **changes: Any) -> TrainConfig:
     """The configuration of our sides; stock has the same numbers."""
     n = given.environments
     return TrainConfig(
-        env=EnvConfig(object=given.object, threads=THREADS),
+        env=EnvConfig(scene=SceneConfig(object=(given.object,), threads=THREADS)),
         guidance=GuidanceConfig(method=method),
         controllers=("coordinated",),
         seed=given.seed,
         num_envs=n,
-        buffer_size=max(1600 * n, 1024),
-        learning_starts=given.warm_up // 2 * n,
+        sac=SACConfig(buffer_size=max(1600 * n, 1024), learning_starts=given.warm_up // 2 * n),
         device="cpu",
         **changes,
     )
 
 
-def stock(of: TrainConfig) -> SAC:
-    """stable-baselines3's SAC, with entropy coefficient 0 like ours."""
-    return SAC(
-        "MlpPolicy",
-        StableBaselinesVecEnv(make_vector(of.env, of.num_envs, of.seed)),
-        ent_coef=0.0,
-        learning_rate=of.learning_rate,
-        buffer_size=of.buffer_size,
-        learning_starts=of.learning_starts,
-        batch_size=of.batch_size,
-        tau=of.tau,
-        gamma=of.gamma,
-        train_freq=1,
-        gradient_steps=of.gradient_steps,
-        policy_kwargs={"net_arch": list(of.network)},
-        seed=of.seed,
-        device="cpu",
-    )
+class Stock:
+    """stable-baselines3's side."""
+
+    def __init__(self, of: TrainConfig, threads: int) -> None:
+        self.agent, self.threads = stock_sac(of), threads
+
+    def advance(self, steps: int) -> None:
+        """Train for ``steps`` steps of all environments."""
+        agent = self.agent
+        agent.learn(steps * agent.n_envs, reset_num_timesteps=agent.num_timesteps == 0)
+
+    def profile(self, steps: int) -> dict[str, float]:
+        """See `learner_profile`."""
+        return profiled_stock(self.agent, lambda: self.advance(steps), steps)
+
+    def close(self) -> None:
+        """Close the environments."""
+        assert self.agent.env is not None
+        self.agent.env.close()
 
 
-def sides(given: Options) -> dict[str, tuple[Any, int]]:
-    """Agents, each with its number of torch threads."""
+class Ours:
+    """A side of ours: the trainer's turns, without a log."""
+
+    threads = 1
+
+    def __init__(self, of: TrainConfig) -> None:
+        self.trainer = Trainer(of, RunFolder(Path("nowhere")))  # nothing is written between turns
+        self._pool = ThreadPoolExecutor(1)
+
+    def advance(self, steps: int) -> None:
+        """Train for ``steps`` steps of all environments."""
+        for _ in range(steps):
+            self.trainer.turn(self._pool)
+
+    def profile(self, steps: int) -> dict[str, float]:
+        """See `learner_profile`; without overlap from here on."""
+        self.trainer.config = replace(self.trainer.config, overlap=False)
+        return profiled_ours(self.trainer, lambda: self.advance(steps), steps)
+
+    def close(self) -> None:
+        """Close the environments."""
+        self._pool.shutdown()
+        self.trainer.close()
+
+
+def sides(given: Options) -> dict[str, Stock | Ours]:
+    """All that are compared, by name."""
     of_stock = STOCK if given.two_threads else STOCK[:1]
-    agents: dict[str, Any] = {name: stock(config(given, "rl")) for name in of_stock}
-    agents |= {name: build(config(given, name)) for name in OURS}
-    agents[WITHOUT] = build(config(given, "rl", overlap=False))
-    return {name: (agent, 1 + (name == STOCK[1])) for name, agent in agents.items()}
-
-
-def advance(agent: Any, steps: int) -> None:
-    """Train for ``steps`` steps of all environments."""
-    agent.learn(steps * agent.n_envs, reset_num_timesteps=agent.num_timesteps == 0)
+    found: dict[str, Stock | Ours] = {
+        name: Stock(config(given, "rl"), threads) for threads, name in enumerate(of_stock, start=1)
+    }
+    found |= {name: Ours(config(given, name)) for name in OURS}
+    return {**found, WITHOUT: Ours(config(given, "rl", overlap=False))}
 
 
 def measured(call: Callable[[], Any]) -> tuple[float, float, float]:
@@ -127,17 +153,17 @@ def _busy() -> float:
     return (user + nice + system + irq + soft) / os.sysconf("SC_CLK_TCK")
 
 
-def compare(given: Options, agents: dict[str, tuple[Any, int]]) -> np.ndarray:
+def compare(given: Options, learners: dict[str, Stock | Ours]) -> np.ndarray:
     """What `measured` gives for each round and side, ``(rounds, sides, 3)``."""
     rows = []
     for i in range(given.rounds):
-        order = list(agents) if i % 2 == 0 else list(agents)[::-1]
+        order = list(learners) if i % 2 == 0 else list(learners)[::-1]
         row = {}
         for name in order:
-            agent, threads = agents[name]
-            torch.set_num_threads(threads)
-            row[name] = measured(lambda agent=agent: advance(agent, given.steps))
-        rows.append([row[name] for name in agents])
+            side = learners[name]
+            torch.set_num_threads(side.threads)
+            row[name] = measured(lambda side=side: side.advance(given.steps))
+        rows.append([row[name] for name in learners])
         progress(f"round {i + 1} of {given.rounds}: {np.round(rows[-1], 2)[:, 0]} s")
     return np.array(rows)
 
@@ -153,24 +179,21 @@ def ratios(found: np.ndarray, names: list[str], column: int) -> dict[str, Any]:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    agents = sides(given)
-    for name, (agent, threads) in agents.items():
-        torch.set_num_threads(threads)
-        advance(agent, given.warm_up)
+    learners = sides(given)
+    for name, side in learners.items():
+        torch.set_num_threads(side.threads)
+        side.advance(given.warm_up)
         progress(f"{name} is warm")
-    names = list(agents)
-    found = compare(given, agents)
+    names = list(learners)
+    found = compare(given, learners)
     quiet = found[..., 2].max(axis=1) <= BUSY_ELSEWHERE
     torch.set_num_threads(1)
     profile = {
-        name: profiled(lambda agent=agents[side][0]: advance(agent, given.steps), agents[side][0])
-        for name, side in {"stock": "stock", "rl": WITHOUT}.items()
+        name: learners[side].profile(given.steps)
+        for name, side in {"stock": "stock", "rl": WITHOUT, "vge": "vge"}.items()
     }
-    guided = agents["vge"][0]
-    guided.overlap = False
-    profile["vge"] = profiled(lambda: advance(guided, given.steps), guided)
-    for agent, _ in agents.values():
-        agent.env.close()
+    for side in learners.values():
+        side.close()
 
     per_step = {name: float(np.median(found[:, i, 0])) for i, name in enumerate(names)}
     rate = {n: round(given.environments * given.steps / t) for n, t in per_step.items()}
@@ -204,16 +227,10 @@ def main() -> None:
         ],
         quiet_rounds=int(quiet.sum()),
         profile_ms_per_step=profile,
-        configuration=config(given, "vge").to_dict(),
-        versions={"torch": torch.__version__, "stable_baselines3": _version()},
-        torch_threads={name: threads for name, (_, threads) in agents.items()},
+        configuration=to_plain(config(given, "vge")),
+        versions={"torch": torch.__version__, "stable_baselines3": stable_baselines3.__version__},
+        torch_threads={name: side.threads for name, side in learners.items()},
     )
-
-
-def _version() -> str:
-    import stable_baselines3
-
-    return stable_baselines3.__version__
 
 
 def table(given: Options, profile: dict[str, dict[str, float]]) -> dict[str, Any]:

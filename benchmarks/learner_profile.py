@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-import stable_baselines3.sac.sac as stock_sac
+import stable_baselines3.sac.sac as stock
 from stable_baselines3 import SAC
 
-import learning.agents.sac as our_sac
+from learning.envs.vector import ManipulationVectorEnv
+from learning.training.trainer import Trainer
 
 PARTS = {
     "physics": "physics (`mujoco.rollout`, two threads)",
@@ -71,70 +72,94 @@ def replaced(owner: Any, name: str, make: Callable[[Any], Any]) -> Iterator[None
             delattr(owner, name)
 
 
-def profiled(call: Callable[[], Any], agent: Any) -> dict[str, float]:
-    """Milliseconds of each part and ``total``, for each step of all environments of ``call``."""
-    watch = Stopwatch()
+Wrap = Callable[[Any, str, Callable[[Any], Any]], None]
 
-    def whole(part: str) -> Callable[[Any], Any]:
-        def make(before: Any) -> Any:
-            def timed(*arguments: Any, **named: Any) -> Any:
-                watch.begin(part)
-                try:
-                    return before(*arguments, **named)
-                finally:
-                    watch.end()
 
-            return timed
+def profiled_stock(agent: SAC, call: Callable[[], Any], turns: int) -> dict[str, float]:
+    """Milliseconds of each part and ``total``, for each of the ``turns`` of ``call``."""
 
-        return make
-
-    def then(part: str) -> Callable[[Any], Any]:
-        def make(before: Any) -> Any:
-            def turning(*arguments: Any, **named: Any) -> Any:
-                try:
-                    return before(*arguments, **named)
-                finally:
-                    watch.turn(part)
-
-            return turning
-
-        return make
-
-    steps = agent.num_timesteps
-    with ExitStack() as stack:
-
-        def wrap(owner: Any, name: str, make: Callable[[Any], Any]) -> None:
-            stack.enter_context(replaced(owner, name, make))
-
-        wrap(agent.env, "step", whole("environment"))
-        for group in agent.env.env.sim.groups:
-            wrap(group, "_pool", lambda before: lambda: _Timed(before(), watch))
-        if getattr(agent, "guide", None) is not None:
-            wrap(agent.guide, "act", whole("choice"))
-            wrap(agent.guide, "_ask", whole("controllers"))
-            wrap(agent.guide, "after_step", whole("controllers"))
-            wrap(agent, "_policy_actions", whole("policy"))
-        else:
-            wrap(agent, "_sample_action", whole("policy"))
-        wrap(agent, "_store_transition", whole("store"))
-        wrap(agent, "train", whole("loop"))
+    def wrap_all(watch: Stopwatch, wrap: Wrap) -> None:
+        env: Any = agent.env
+        wrap(env, "step", _whole(watch, "environment"))
+        _wrap_physics(watch, wrap, env.env)
+        wrap(agent, "_sample_action", _whole(watch, "policy"))
+        wrap(agent, "_store_transition", _whole(watch, "store"))
+        wrap(agent, "train", _whole(watch, "loop"))
         wrap(agent.replay_buffer, "sample", _sampling(watch))
-        if type(agent) is SAC:  # critics, actor, target critics
-            wrap(agent.critic.optimizer, "step", then("actor"))
-            wrap(agent.actor.optimizer, "step", then("follow"))
-            wrap(stock_sac, "polyak_update", then("loop"))
-        else:  # critics, target critics, actor
-            wrap(agent.critic.optimizer, "step", then("follow"))
-            wrap(our_sac, "follow", then("actor"))
-            wrap(agent.actor.optimizer, "step", then("loop"))
+        # critics, actor, target critics
+        wrap(agent.critic.optimizer, "step", _then(watch, "actor"))
+        wrap(agent.actor.optimizer, "step", _then(watch, "follow"))
+        wrap(stock, "polyak_update", _then(watch, "loop"))
+
+    return _profiled(wrap_all, call, turns)
+
+
+def profiled_ours(trainer: Trainer, call: Callable[[], Any], turns: int) -> dict[str, float]:
+    """As `profiled_stock`, of a trainer whose SAC updates after the environments' step."""
+
+    def wrap_all(watch: Stopwatch, wrap: Wrap) -> None:
+        algorithm: Any = trainer.algorithm
+        wrap(trainer.env, "step", _whole(watch, "environment"))
+        _wrap_physics(watch, wrap, trainer.env)
+        wrap(trainer.guide, "act", _whole(watch, "choice"))
+        wrap(trainer.guide, "_ask", _whole(watch, "controllers"))
+        wrap(trainer.guide, "after_step", _whole(watch, "controllers"))
+        wrap(algorithm, "act", _whole(watch, "policy"))
+        wrap(algorithm, "observe", _whole(watch, "store"))
+        wrap(algorithm, "update", _whole(watch, "loop"))
+        wrap(algorithm.replay, "sample", _sampling(watch))
+        # critics, target critics, actor
+        wrap(algorithm.optimizers["critic"], "step", _then(watch, "follow"))
+        wrap(algorithm.networks["critic_target"], "follow", _then(watch, "actor"))
+        wrap(algorithm.optimizers["actor"], "step", _then(watch, "loop"))
+
+    return _profiled(wrap_all, call, turns)
+
+
+def _profiled(
+    wrap_all: Callable[[Stopwatch, Wrap], None], call: Callable[[], Any], turns: int
+) -> dict[str, float]:
+    watch = Stopwatch()
+    with ExitStack() as stack:
+        wrap_all(watch, lambda *which: stack.enter_context(replaced(*which)))
         watch.lap()
         watch.seconds = dict.fromkeys(PARTS, 0.0)
         call()
         watch.lap()
-    turns = (agent.num_timesteps - steps) / agent.n_envs
     found = {part: 1e3 * seconds / turns for part, seconds in watch.seconds.items()}
     found = {**found, "total": sum(found.values())}
     return {part: round(ms, 3) for part, ms in found.items()}
+
+
+def _whole(watch: Stopwatch, part: str) -> Callable[[Any], Any]:
+    """Of a call that is a part."""
+
+    def make(before: Any) -> Any:
+        def timed(*arguments: Any, **named: Any) -> Any:
+            watch.begin(part)
+            try:
+                return before(*arguments, **named)
+            finally:
+                watch.end()
+
+        return timed
+
+    return make
+
+
+def _then(watch: Stopwatch, part: str) -> Callable[[Any], Any]:
+    """Of a call behind which the part begins."""
+
+    def make(before: Any) -> Any:
+        def turning(*arguments: Any, **named: Any) -> Any:
+            try:
+                return before(*arguments, **named)
+            finally:
+                watch.turn(part)
+
+        return turning
+
+    return make
 
 
 def _sampling(watch: Stopwatch) -> Callable[[Any], Any]:
@@ -149,6 +174,11 @@ def _sampling(watch: Stopwatch) -> Callable[[Any], Any]:
         return sample
 
     return make
+
+
+def _wrap_physics(watch: Stopwatch, wrap: Wrap, env: ManipulationVectorEnv) -> None:
+    for group in env.simulation.sim.groups:
+        wrap(group, "_pool", lambda before: lambda: _Timed(before(), watch))
 
 
 class _Timed:

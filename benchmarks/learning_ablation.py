@@ -11,19 +11,17 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from common import FULL_TURN, Settings, earlier, over_seeds, progress, settings, share, write
 
 from dexctl.exceptions import UnknownName
-from learning import policies
-from learning.envs import EnvConfig
-from learning.evaluate import Protocol, evaluate
-from learning.exploration.guide import GuidanceConfig
-from learning.recipes import recipe
-from learning.settings import TrainConfig
+from dexctl.settings import changed, get, to_plain
+from learning.config import TrainConfig, recipe
+from learning.evaluation import evaluate, open_subject
+from learning.training.run_folder import RunFolder
 
 OBJECT = "cylinder"
 
@@ -36,42 +34,39 @@ class Variant:
         title: what people read.
         recipe: what it begins with.
         method: of exploration.
-        env, guidance, training: settings in place of the recipe's; what is None becomes the
-            default, which is the thesis's.
+        changes: settings in place of the recipe's.
+        usual: settings that are as the thesis has them, in place of the recipe's.
     """
 
     title: str
     recipe: str = "fast"
     method: str = "vge+bc"
-    env: Mapping[str, Any] = field(default_factory=dict)
-    guidance: Mapping[str, Any] = field(default_factory=dict)
-    training: Mapping[str, Any] = field(default_factory=dict)
-
-
-def _default(*names: str) -> dict[str, Any]:
-    return dict.fromkeys(names)
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    usual: tuple[str, ...] = ()
 
 
 VARIANTS = {
     "fast": Variant("recipe `fast`"),
     "no_cloning": Variant("no cloning (VGE)", method="vge"),
-    "acted": Variant("cloned only where the controller acted", guidance=_default("cloned")),
+    "acted": Variant("cloned only where the controller acted", usual=("guidance.cloned",)),
     "thesis_cloning": Variant(
         "cloning as in the thesis",
-        guidance=_default("cloned", "cloning", "cloning_weight", "beta"),
+        usual=(
+            "guidance.cloned", "guidance.cloning", "guidance.cloning_weight", "guidance.beta",
+        ),
     ),
-    "thesis_guide": Variant("guided by the thesis's gait", training={"controllers": ("gait",)}),
-    "one_step": Variant("one-step returns", training=_default("n_step")),
-    "slow": Variant("learning rate 3e-4, tau 0.005", training=_default("learning_rate", "tau")),
-    "blind_critics": Variant("critics see what the policy sees", training=_default("critic_parts")),
-    "no_norm": Variant("no layer normalisation", training=_default("layer_norm")),
-    "unscaled": Variant("observations in SI units", env=_default("scaled")),
-    "more_updates": Variant("twice the updates", training={"gradient_steps": 4}),
-    "td3": Variant("TD3", training={"algorithm": "td3"}),
+    "thesis_guide": Variant("guided by the thesis's gait", changes={"controllers": ("gait",)}),
+    "one_step": Variant("one-step returns", usual=("sac.n_step",)),
+    "slow": Variant("learning rate 3e-4, tau 0.005", usual=("sac.learning_rate", "sac.tau")),
+    "blind_critics": Variant("critics see what the policy sees", usual=("env.critic_parts",)),
+    "no_norm": Variant("no layer normalisation", usual=("sac.layer_norm",)),
+    "unscaled": Variant("observations in SI units", usual=("env.scaled",)),
+    "more_updates": Variant("twice the updates", changes={"sac.gradient_steps": 4}),
+    "td3": Variant("TD3", changes={"algorithm": "td3"}),
     "thesis": Variant("recipe `thesis`, the same guide", recipe="thesis"),
-    "last_weights": Variant("the last weights, no mean", training=_default("policy_average")),
-    "long_horizon": Variant("discount 0.995", training={"gamma": 0.995}),
-}
+    "last_weights": Variant("the last weights, no mean", usual=("sac.policy_average",)),
+    "long_horizon": Variant("discount 0.995", changes={"sac.gamma": 0.995}),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,50 +95,43 @@ def config(name: str, seed: int, given: Options) -> TrainConfig:
     """Everything that the training of a variant is."""
     if name not in VARIANTS:
         raise UnknownName("variant", name, VARIANTS)
-    variant = VARIANTS[name]
-    begin = recipe(variant.recipe, variant.method)
-    parts = [
-        {key: value for key, value in {**one, **changed}.items() if value is not None}
-        for one, changed in zip(
-            begin, (variant.env, variant.guidance, variant.training), strict=True
-        )
-    ]
-    env, guidance, training = parts
-    return TrainConfig(
-        env=EnvConfig(**{"object": OBJECT, "threads": 1, **env}),
-        guidance=replace(GuidanceConfig(**guidance), method=variant.method, hard_stop=given.steps),
-        **{
+    variant, thesis = VARIANTS[name], TrainConfig()
+    return changed(
+        recipe(variant.recipe, variant.method),
+        {
+            "object": OBJECT,
+            "threads": 1,
+            "hard_stop": given.steps,
             "controllers": ("coordinated",),
             "steps": given.steps,
             "num_envs": given.num_envs,
             "seed": seed,
             "log_every": 20_000,
-            **training,
+            **{path: get(thesis, path) for path in variant.usual},
+            **variant.changes,
         },
     )
 
 
 def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
     """Train a variant, or go on; evaluate its policy."""
-    from learning.train import read_config, resume, train
-    from learning.training.run_folder import RunFolder
+    from learning.training.trainer import resume, train
 
     folder = given.runs / f"{name}-{seed}"
     wanted = config(name, seed, given)
     try:
-        if RunFolder.is_run(folder) and read_config(folder) == wanted:
+        if RunFolder.is_run(folder) and RunFolder(folder).config() == wanted:
             found = resume(folder)
         else:
             found = train(wanted, folder)
     except KeyboardInterrupt:  # its checkpoint is saved; the pool would give it the next training
         os._exit(130)
-    policy = policies.load(found["policy"])
-    protocol = Protocol(episodes=given.trials, seconds=given.seconds, threads=1)
-    alone = evaluate(policy, OBJECT, protocol)
+    who = open_subject(str(folder))
+    alone = evaluate(who, who.protocol(episodes=given.trials, seconds=given.seconds, threads=1))
     return {
         "variant": name,
         "training_seed": seed,
-        "config": wanted.to_dict(),
+        "config": to_plain(wanted),
         "steps": found["steps"],
         "training_seconds": round(float(found["last"]["seconds"]), 1),
         "rotation_rad": over_seeds(alone.rotation),
@@ -189,7 +177,7 @@ def main() -> None:
     rows = {}
     for row in earlier("learning_ablation", given):
         one = row["variant"], row["training_seed"]
-        if one[0] in VARIANTS and TrainConfig.from_dict(row["config"]) == config(*one, given):
+        if one[0] in VARIANTS and row["config"] == to_plain(config(*one, given)):
             rows[one] = row
     # each in a process of its own: random states and thread counts belong to the process
     spawn = multiprocessing.get_context("spawn")

@@ -1,7 +1,8 @@
-"""Writes the table of measured figures into README.md, from the results beside this script.
+"""Writes the measured figures into README.md and docs/measured.md, from the results beside this.
 
-The table stands between two comments, `<!-- figures:begin -->` and `<!-- figures:end -->`. With
-`--check` nothing is written; the exit code is 1 where README is out of date.
+README gets five of them, docs/measured.md all, with the tables. In either file they stand between
+two comments, `<!-- figures:begin -->` and `<!-- figures:end -->`. With `--check` nothing is
+written; the exit code is 1 where one of the files is out of date.
 """
 
 from __future__ import annotations
@@ -19,24 +20,26 @@ from learning.sweep.table import caption, markdown_table
 
 BEGIN, END = "<!-- figures:begin -->", "<!-- figures:end -->"
 ROOT = Path(__file__).resolve().parents[1]
-# in the order of the table; tables of those that are "open" stand there for all to see
-ORDER = {
-    "igm_latency": "open",
-    "gait_batch": "open",
-    "simulator": "open",
-    "in_grasp": "open",
-    "gaits": "open",
-    "learned": "open",
-    "learner": "open",
-    "hardware_grasp": "open",
-    "hardware_loop": "folded",
-    "bus": "folded",
-    "allegro": "folded",
-    "ablation": "folded",
-    "learning_ablation": "folded",
-    "robustness": "folded",
+# in the order of the tables, each with the heading of its own
+HEADINGS = {
+    "igm_latency": "In-grasp step",
+    "gait_batch": "A batch of hands",
+    "simulator": "Simulator",
+    "in_grasp": "In-grasp manipulation",
+    "gaits": "Gaits",
+    "learned": "Learned gaits",
+    "learner": "Training throughput",
+    "hardware_grasp": "Simulator and servo bus",
+    "hardware_loop": "Runner of the servo hand",
+    "bus": "Servo bus",
+    "allegro": "Allegro hand",
+    "ablation": "Parts of the coordinated gait",
+    "learning_ablation": "Parts of the recipe fast",
+    "robustness": "Robustness of the coordinated gait",
 }
 SWEEP = "learning_table"
+# what README shows: the figure of this number in the results of this script
+CHOSEN = (("igm_latency", 0), ("gaits", 0), ("learned", 4), ("learner", 1), ("hardware_grasp", 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,16 +47,18 @@ class Options:
     """What to write, and where."""
 
     check: bool = False
-    """Write nothing; exit with 1 where the table is out of date."""
+    """Write nothing; exit with 1 where a file is out of date."""
     readme: Path = ROOT / "README.md"
-    """The file with the two comments."""
+    """The file that gets five figures, with the two comments."""
+    measured: Path = ROOT / "docs" / "measured.md"
+    """The file that gets all figures and tables, with the two comments."""
     results: Path = ROOT / "benchmarks" / "results"
     """Folder of the results."""
 
 
 def load(folder: Path) -> list[dict[str, Any]]:
-    """The results that are there, in the order of the table."""
-    paths = [folder / f"{name}.json" for name in ORDER]
+    """The results that are there, in the order of the tables."""
+    paths = [folder / f"{name}.json" for name in HEADINGS]
     return [json.loads(path.read_text()) for path in paths if path.is_file()]
 
 
@@ -63,21 +68,39 @@ def load_sweep(folder: Path) -> dict[str, Any] | None:
     return json.loads(path.read_text()) if path.is_file() else None
 
 
-def text(results: Sequence[dict[str, Any]], sweep: dict[str, Any] | None = None) -> str:
-    """What stands between the comments."""
-    parts = [_measured_on(results), _figures(results)]
+def few(results: Sequence[dict[str, Any]]) -> str:
+    """What stands between README's comments."""
+    figures = {
+        (result["benchmark"], number): figure
+        for result in results
+        for number, figure in enumerate(result["figures"])
+    }
+    rows = [
+        [figure["what"], figure["measured"], figure["goal"]]
+        for figure in (figures[chosen] for chosen in CHOSEN if chosen in figures)
+    ]
+    return f"{_table(['What', 'Measured', 'Goal'], rows)}\n\n{_reached(results)}"
+
+
+def everything(results: Sequence[dict[str, Any]], sweep: dict[str, Any] | None = None) -> str:
+    """What stands between the comments of docs/measured.md."""
+    parts = [_measured_on(results), _reached(results), _figures(results)]
     for result in results:
+        name = result["benchmark"]
+        if result["tables"]:
+            parts.append(f"## {HEADINGS[name]}")
         for table in result["tables"]:
             body = _table(table["header"], table["rows"])
-            command = f"`python benchmarks/{result['benchmark']}.py`"
-            if ORDER[result["benchmark"]] == "open":
-                parts.append(f"{table['title']} ({command}):\n\n{body}")
-            else:
-                title = f"<summary>{table['title']}</summary>"
-                parts.append(f"<details>{title}\n\n{command}\n\n{body}\n\n</details>")
-        if sweep is not None and result["benchmark"] == "learned":
+            parts.append(f"{table['title']} (`python benchmarks/{name}.py`):\n\n{body}")
+        if sweep is not None and name == "learned":
             parts.append(_sweep(sweep))
-    return "\n\n".join(part for part in parts if part)
+    return "\n\n".join(parts)
+
+
+def _reached(results: Iterable[dict[str, Any]]) -> str:
+    met = [figure["met"] for result in results for figure in result["figures"]]
+    goals, missed = sum(one is not None for one in met), met.count(False)
+    return f"Of {goals} goals {goals - missed} are reached and **{missed} are not**."
 
 
 def _measured_on(results: Iterable[dict[str, Any]]) -> str:
@@ -115,6 +138,7 @@ def _figures(results: Iterable[dict[str, Any]]) -> str:
 def _sweep(found: dict[str, Any]) -> str:
     command = f"`dexctl sweep benchmarks/{SWEEP}.toml`"
     return (
+        "## Methods of exploration\n\n"
         f"Methods of exploration and what guided them, the learned policy alone ({command}):\n\n"
         f"{markdown_table(found)}\n\n{caption(found)}"
     )
@@ -125,19 +149,15 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def renewed(readme: str, between: str) -> str:
-    """README with the text between its comments replaced.
+def renewed(text: str, between: str) -> str:
+    """``text`` with what stands between its comments replaced.
 
     Raises:
         ValueError: the comments are not there, once each and in order.
     """
-    if (
-        readme.count(BEGIN) != 1
-        or readme.count(END) != 1
-        or readme.index(BEGIN) > readme.index(END)
-    ):
+    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
         raise ValueError(f"expected one {BEGIN} and after it one {END}")
-    before, rest = readme.split(BEGIN)
+    before, rest = text.split(BEGIN)
     return f"{before}{BEGIN}\n{between}\n{END}{rest.split(END)[1]}"
 
 
@@ -147,20 +167,25 @@ def main() -> int:
     if not results:
         print(f"{given.results}: no results; run `make bench`", file=sys.stderr)
         return 2
-    old = given.readme.read_text()
-    try:
-        new = renewed(old, text(results, load_sweep(given.results)))
-    except ValueError as error:
-        print(f"{given.readme}: {error}", file=sys.stderr)
-        return 2
-    if new == old:
-        print(f"{given.readme.name} is up to date")
-        return 0
-    if given.check:
-        print(f"{given.readme.name} is out of date: python benchmarks/readme.py", file=sys.stderr)
+    stale = []
+    for path, between in (
+        (given.readme, few(results)),
+        (given.measured, everything(results, load_sweep(given.results))),
+    ):
+        old = path.read_text()
+        try:
+            new = renewed(old, between)
+        except ValueError as error:
+            print(f"{path}: {error}", file=sys.stderr)
+            return 2
+        if new != old:
+            stale.append(path.name)
+            if not given.check:
+                path.write_text(new)
+    if given.check and stale:
+        print(f"out of date: {', '.join(stale)}; python benchmarks/readme.py", file=sys.stderr)
         return 1
-    given.readme.write_text(new)
-    print(f"{given.readme.name} written")
+    print(f"written: {', '.join(stale)}" if stale else "README and measured.md are up to date")
     return 0
 
 

@@ -127,6 +127,26 @@ def changed(config: C, values: Mapping[str, Any], where: str = "") -> C:
     return replace(cast(Any, config), **found)
 
 
+def by_path(kind: type, values: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """``values``, which are as `from_plain` takes them, by the dotted paths of ``kind``.
+
+    So what two tables say of one setting can be put together, whichever name each has for it.
+
+    Raises:
+        UnknownName, InvalidInput: no such setting, or a value of the wrong kind. Whether it is in
+            range, the configuration says that is made of it.
+    """
+    found: dict[str, Any] = {}
+    for name, value in _sorted_in(kind, values, where).items():
+        path, inner = f"{where}.{name}" if where else name, _hints(kind)[name]
+        if is_dataclass(inner) and isinstance(value, Mapping):
+            below = by_path(cast(type, inner), value, path)
+            found |= {f"{name}.{rest}": one for rest, one in below.items()}
+        else:
+            found[name] = _value(inner, value, path)
+    return found
+
+
 @cache
 def leaves(kind: type) -> Mapping[str, str]:
     """The dotted path of each setting below ``kind``, by its own name; repeated names are out."""

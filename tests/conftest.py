@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 
 # One thread a process for linear algebra, set before numpy is loaded: the matrices are small, and
 # pytest-xdist already keeps the cores busy.
@@ -16,29 +17,13 @@ import pytest
 
 import dexctl
 
-ROOT = Path(__file__).resolve().parents[1]
+FOUR_FINGERS = Path(__file__).resolve().parent / "hands" / "four_fingers.xml"
 
 # The same examples on every run, and no time limit: a busy machine must not fail a test.
 hypothesis.settings.register_profile(
     "dexctl", derandomize=True, deadline=None, database=None, max_examples=50
 )
 hypothesis.settings.load_profile("dexctl")
-
-
-def menagerie_folder() -> Path | None:
-    """The folder that holds the MuJoCo menagerie's ``wonik_allegro``, if there is one."""
-    chosen = os.environ.get("DEXCTL_MENAGERIE")
-    folder = Path(chosen) if chosen else ROOT.parent / "shared" / "hands"
-    return folder if (folder / "wonik_allegro" / "right_hand.xml").is_file() else None
-
-
-@pytest.fixture(scope="session")
-def menagerie() -> Path:
-    """The menagerie folder; skips where there is none."""
-    folder = menagerie_folder()
-    if folder is None:
-        pytest.skip("no wonik_allegro: set DEXCTL_MENAGERIE to a folder that holds it")
-    return folder
 
 
 @pytest.fixture(scope="session")
@@ -48,6 +33,33 @@ def dex5() -> dexctl.HandModel:
 
 
 @pytest.fixture(scope="session")
-def allegro(menagerie: Path) -> dexctl.HandModel:
-    """The Allegro hand of the menagerie; skips where it is not to be had."""
+def menagerie(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder like the menagerie's, with our own hand of four fingers in the Allegro's place."""
+    folder = tmp_path_factory.mktemp("menagerie")
+    (folder / "wonik_allegro").mkdir()
+    shutil.copy(FOUR_FINGERS, folder / "wonik_allegro" / "right_hand.xml")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def four_fingers(menagerie: Path) -> dexctl.HandModel:
+    """Our own hand of four fingers with four joints each; see ``tests/hands``."""
     return dexctl.hands.load("wonik_allegro", folder=menagerie)
+
+
+@pytest.fixture(scope="session")
+def allegro() -> dexctl.HandModel:
+    """The menagerie's Allegro hand, for what is true of that hand only; skips where it is not here.
+
+    It comes from the folder DEXCTL_MENAGERIE, else from what the package mujoco-menagerie has got
+    before: no test downloads anything.
+    """
+    if not os.environ.get("DEXCTL_MENAGERIE"):
+        package = pytest.importorskip("mujoco_menagerie", reason="no mujoco-menagerie installed")
+        cache = package.Cache()
+        if cache.root is None and not cache.is_cached(package.get("wonik_allegro")):
+            pytest.skip("mujoco-menagerie has not downloaded wonik_allegro yet")
+    try:
+        return dexctl.hands.load("wonik_allegro")
+    except dexctl.HandModelError as error:
+        pytest.skip(str(error))

@@ -16,6 +16,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import (
     NESTED,
     Vector,
+    by_path,
     changed,
     difference,
     differing,
@@ -115,6 +116,19 @@ def test_tables_and_leaves_together() -> None:
     other = changed(made, {"scene": {"noise": {"joint": 0.3}}})
     assert other.scene.noise == Noise(joint=0.3, rate=2.0)
     assert other.scene.size == 1.0
+
+
+def test_tables_can_be_put_together_by_path() -> None:
+    values = {"scene": {"noise": {"rate": 2}, "size": 1}, "joint": 0.1, "rate": 3}
+    assert by_path(Run, values) == {
+        "scene.noise.rate": 2.0, "scene.size": 1.0, "scene.noise.joint": 0.1, "rate": 3.0,
+    }  # fmt: skip
+    for wrong, said in (
+        ({"scene.noise": 3}, "a.scene.noise is 3"),
+        ({"joint": "x"}, "a.scene.noise.jo"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            by_path(Run, wrong, "a")
 
 
 def test_the_first_difference_is_named() -> None:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from dexctl.sim import Scene, Simulation
     from dexctl.sim.record import Recorder
 
-CONTROLLERS = ("igm", "switch", "gait", "coordinated", LEARNED)
+CONTROLLERS = ("igm", "switch", "gait", "coordinated", controllers.POLICIES)
 KEY_FRAMES, PICTURE_FRAMES = 4, 6
 _NAMED = ("report.html", "picture.png", "demo.mp4")
 FPS, VIDEO_SIZE, STILL_SIZE = 15.0, (640, 480), (800, 600)

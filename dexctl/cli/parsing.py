@@ -91,12 +91,24 @@ def _spelled_out(arguments: Sequence[str], short: Mapping[str, str]) -> list[str
     return words
 
 
+def said(kind: type[C], arguments: Sequence[str]) -> C | None:
+    """What ``arguments`` say by themselves, for defaults that depend on it.
+
+    None where they are not right; that shows when they are parsed.
+    """
+    words = [word for word in arguments if word not in _HELP]
+    try:
+        return tyro.cli(kind, args=words, registry=_REGISTRY, console_outputs=False)
+    except SystemExit:
+        return None
+
+
 def given(arguments: Sequence[str], option: str) -> str | None:
     """The value that ``option`` is given, for a default that depends on it; None: it is not."""
-    for word, after in zip(arguments, [*arguments[1:], None], strict=True):
+    for i, word in enumerate(arguments):
         flag, equals, value = word.partition("=")
         if flag == option:
-            return value if equals else after
+            return value if equals else next(iter(arguments[i + 1 : i + 2]), None)
     return None
 
 

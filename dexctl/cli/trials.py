@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from dexctl.hand import HandModel
     from dexctl.sim import Scene, SceneConfig, Simulation, Trace
 
+
 def simulation(
     config: SceneConfig, num_envs: int, seed: int, hand: HandModel | None = None
 ) -> Simulation:

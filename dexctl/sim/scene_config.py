@@ -81,7 +81,17 @@ class SceneConfig:
 
     def undisturbed(self) -> SceneConfig:
         """The same without noise, latency of the sensors, pushes and given starts."""
-        return replace(self, sensing=Sensing(), push=Push(), initial_states=None)
+        sensing = Sensing(touch_threshold=self.sensing.touch_threshold)
+        push = replace(self.push, push_force=0.0)
+        return replace(self, sensing=sensing, push=push, initial_states=None)
+
+    def check_objects(self) -> None:
+        """Raise UnknownName where an object is not known; building nothing, it costs little."""
+        from dexctl.sim.objects import MESH, object_names
+
+        for name in self.object:
+            if name not in (*object_names(), MESH):
+                raise UnknownName("object", name, object_names())
 
     def scenes(self, hand: HandModel | None = None) -> list[Scene]:
         """The scene of each object.
@@ -93,12 +103,9 @@ class SceneConfig:
             UnknownName: no such object.
             SimulationError: the hand does not hold the object.
         """
-        from dexctl.sim.objects import MESH, object_names
         from dexctl.sim.scene import Scene
 
-        for name in self.object:
-            if name not in (*object_names(), MESH):
-                raise UnknownName("object", name, object_names())
+        self.check_objects()
         model = hands.load(self.hand) if hand is None else hand
         return [
             Scene.build(

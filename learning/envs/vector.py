@@ -48,6 +48,7 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         config, hand: as given.
         simulation, task: what is simulated, and what for.
         observation, action: how the policy's observations and set-points are made.
+        observations: the policy's, and where there is any, what only critics see.
         groups: the columns of an observation that the "policy" and the "critic" see.
         objects: name of the object in each environment.
         diverged_count: simulations that broke down so far. Their episodes end (terminated) with
@@ -113,11 +114,10 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
             "more": parts,
         }
         self.observation = Observation(self.hand, config.parts, **options)
-        self._of_critic = None
         seen = [self.observation]
         if config.critic_parts:
-            self._of_critic = Observation(self.hand, config.critic_parts, **options)
-            seen.append(self._of_critic)
+            seen.append(Observation(self.hand, config.critic_parts, **options))
+        self.observations = tuple(seen)
         size = sum(one.size for one in seen)
         self.groups = {"policy": slice(0, self.observation.size), "critic": slice(0, size)}
         self.single_observation_space = gymnasium.spaces.Box(
@@ -239,9 +239,8 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
     def _observe(self) -> NDArray[np.float32]:
         """What the policy's sensors tell and, for critics, how things are."""
         seen = self.observation(self.simulation.read())
-        if self._of_critic is None:
-            return seen
-        return np.concatenate([seen, self._of_critic(self.simulation.state)], axis=-1)
+        more = [one(self.simulation.state) for one in self.observations[1:]]
+        return np.concatenate([seen, *more], axis=-1) if more else seen
 
     def save(self) -> dict[str, Any]:
         """All that decides the future, as arrays and plain values, to be given to `restore`."""

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from importlib.util import find_spec
+from typing import NamedTuple
 
 import numpy as np
 
+from dexctl.exceptions import MissingExtra
+from dexctl.settings import changed
 from dexctl.state import Floats, GraspState
+from learning.evaluation import Subject
 from learning.exploration.mixture import value_probabilities
-from learning.training import checkpoint
-from learning.training.run_folder import RunFolder
-
-if TYPE_CHECKING:
-    from learning.policies import Policy
-    from learning.settings import TrainConfig
+from learning.training.run_folder import CheckpointError, RunFolder
 
 _ROWS = 4096  # states valued at a time
 
@@ -37,63 +34,85 @@ class Critic:
     """The critics of a run's checkpoint.
 
     Args:
-        folder: of the run.
-        config: of the run.
+        folder: of the run, whose algorithm has critics of actions.
 
     Attributes:
         temperature: of the choice by value in training.
         steps: environment steps at the checkpoint.
 
     Raises:
-        CheckpointError: there is none, it is damaged or of another version.
+        InvalidInput, CheckpointError: the run's files are damaged, or of another version.
     """
 
-    def __init__(self, folder: Path, config: TrainConfig) -> None:
-        from learning.agents import StableBaselinesVecEnv
-        from learning.train import build
+    def __init__(self, folder: RunFolder) -> None:
+        from learning.algorithms.networks import restore
+        from learning.algorithms.off_policy import OffPolicy
+        from learning.training.build import build_algorithm, build_env
 
-        saved = checkpoint.read(RunFolder(folder).checkpoint_path)
+        config, saved = folder.config(), folder.read_checkpoint()
         # the same networks, with the least of everything else
-        small = replace(
+        least = {"buffer_size": config.learner.batch_size}  # type: ignore[union-attr]
+        small = changed(
             config,
-            env=replace(config.env, object=config.env.objects[0], threads=1, initial_states=None),
-            guidance=replace(config.guidance, method="rl"),
-            num_envs=1,
-            buffer_size=config.batch_size,
-            device="cpu",
+            {
+                "num_envs": 1,
+                "device": "cpu",
+                "object": config.env.scene.object[:1],
+                "initial_states": None,
+                "threads": 1,
+                config.algorithm: changed(config.learner, least),
+            },
         )
-        self._agent = build(small)
-        assert isinstance(self._agent.env, StableBaselinesVecEnv)
-        self._observation = self._agent.env.env.observation
-        self._agent.env.close()
+        env = build_env(small)
         try:
-            self._agent.policy.load_state_dict(saved["policy"])
-        except (RuntimeError, KeyError, TypeError) as error:
+            algorithm = build_algorithm(small, env)
+            assert isinstance(algorithm, OffPolicy)
+            self._algorithm, self._observations = algorithm, env.observations
+            assert saved is not None
+            restore(algorithm.networks, saved["algorithm"]["networks"])
+            self.steps = int(saved["algorithm"]["steps"])
+        except (RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
             reason = " ".join(str(error).split())[:200]
-            raise checkpoint.CheckpointError(
-                f"the checkpoint in {folder} does not fit the run's configuration: {reason}"
+            raise CheckpointError(
+                f"{folder.checkpoint_path} does not fit the run's configuration: {reason}"
             ) from error
+        finally:
+            env.close()
         self.temperature = config.guidance.temperature
-        self.steps = int(saved["counters"]["num_timesteps"])
 
-    def judge(self, policy: Policy, states: GraspState, changes: Sequence[Floats]) -> Valued:
-        """What the candidates' set-point changes ``(..., d)`` [rad] are worth in ``states``.
+    def judge(self, states: GraspState, actions: Sequence[Floats]) -> Valued:
+        """What candidates are worth.
 
-        The policy's own action comes first; it is made here, without the exploration noise and
-        draws of training.
+        Args:
+            states: how things are, ``(n,)``; critics are asked without noise.
+            actions: of each candidate, the policy's first, ``(n, d)`` in [-1, 1].
         """
-        batch, d = states.batch_shape, states.q.shape[-1]
-        seen = policy.observation(states).reshape(-1, policy.observation.size)
-        # the critics' own observation, whatever the policy's is
-        observation = self._observation(states).reshape(-1, self._observation.size)
-        actions = [policy.predict(seen)]
-        actions += [policy.action.from_change(change).reshape(-1, d) for change in changes]
+        observation = np.concatenate([one(states) for one in self._observations], axis=-1)
         stacked = np.stack(actions).astype(np.float32)  # (K, n, d)
         values = np.empty((len(observation), len(actions)))
         for start in range(0, len(observation), _ROWS):
             rows = slice(start, start + _ROWS)
-            part = observation[rows]
-            self._agent._last_obs = part
-            values[rows] = self._agent._values(np.arange(len(part)), stacked[:, rows]).T
-        values = values.reshape(*batch, len(actions))
+            values[rows] = self._algorithm.values(observation[rows], stacked[:, rows]).T
         return Valued(values, value_probabilities(values, self.temperature))
+
+
+def open_critic(subject: Subject) -> tuple[Critic | None, str | None]:
+    """The critic of a subject's run, or None and why there is none.
+
+    Raises:
+        CheckpointError: the run's checkpoint is damaged, or of another version.
+        MissingExtra: there is no torch to ask it.
+    """
+    folder = subject.folder
+    if subject.kind == "controller":
+        return None, "A controller has no critic, so there is no p_psi."
+    if folder is None:
+        return None, "A policy has no critic: p_psi needs the run folder, with its checkpoint."
+    if folder.config().algorithm == "ppo":
+        return None, "The run's algorithm, ppo, has no critic of actions, so there is no p_psi."
+    if not folder.checkpoint_path.exists():
+        name = folder.checkpoint_path.name
+        return None, f"The run has no {name}, so there is no critic and no p_psi."
+    if find_spec("torch") is None:
+        raise MissingExtra("the critic of a run (its policy.npz can do without)", "learning")
+    return Critic(folder), None

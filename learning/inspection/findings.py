@@ -9,17 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from dexctl.settings import to_plain
 from dexctl.state import Bools, Floats
 from dexctl.statistics import wilson
-from learning.evaluate import Protocol
+from learning.evaluation import Protocol, Subject
+from learning.inspection.critic import Critic, open_critic
 from learning.inspection.gait import GaitStatistics, gait_statistics
 from learning.inspection.grasps import Grasps, examine, with_margin
 from learning.inspection.onset import CAUSES, Drop, DropRule, find_drops, moments_of
 from learning.inspection.rollout import Rollouts, roll_out
-from learning.inspection.subject import Subject
 from learning.inspection.training import TrainingLog, read_training
-from learning.policies import Policy
-from learning.training.run_folder import RunFolder
 
 MARGIN_EVERY = 2.5
 """Sampling period of the margin over all episodes [s]."""
@@ -43,6 +42,8 @@ class Inspection:
         gait: how the fingers took turns.
         rule: of soundness and drops.
         training: the log of the run; None without.
+        asked: the critic of the run; None without.
+        remarks: what the reader should know.
     """
 
     subject: Subject
@@ -54,6 +55,8 @@ class Inspection:
     gait: GaitStatistics
     rule: DropRule
     training: TrainingLog | None
+    asked: Critic | None = None
+    remarks: tuple[str, ...] = ()
 
     def causes(self) -> list[tuple[str, list[Drop]]]:
         """The causes that occurred with their drops, the most frequent first."""
@@ -89,15 +92,15 @@ class Inspection:
     def critic(self) -> dict[str, Any] | None:
         """What the critic says of the policy and each controller; None without a critic."""
         valued = self.rollouts.valued
-        if valued is None or self.subject.critic is None:
+        if valued is None or self.asked is None:
             return None
         acting = self.rollouts.acting
         values, chances = valued.values[acting], valued.chances[acting]
         names = ("policy", *self.rollouts.shadows)
         best = values.argmax(axis=-1)
         return {
-            "checkpoint_steps": self.subject.critic.steps,
-            "temperature": self.subject.critic.temperature,
+            "checkpoint_steps": self.asked.steps,
+            "temperature": self.asked.temperature,
             "p_psi": _spread(1.0 - chances[:, 0]),
             "candidates": {
                 name: {
@@ -122,7 +125,6 @@ class Inspection:
         return {
             "sound_share": float(self.sound[held].mean()),
             "closure_share": float(grasps.closure[held].mean()),
-            "fingertips_only_share": float((trace.other_contact[held] == 0.0).mean()),
             "residual": _spread(grasps.residual[held]),
             "margin": _spread(grasps.margin[held]),
             "margin_samples": int(np.isfinite(grasps.margin[held]).sum()),
@@ -143,8 +145,9 @@ class Inspection:
         return {
             "subject": subject.name,
             "kind": subject.kind,
-            "card": subject.controller.card if isinstance(subject.controller, Policy) else None,
-            "remarks": list(subject.remarks),
+            "card": subject.card,
+            "remarks": list(self.remarks),
+            "protocol": to_plain(evaluation.protocol),
             "object": evaluation.object,
             "results": evaluation.to_dict(),
             "gait": self.gait.to_dict(),
@@ -179,9 +182,8 @@ class Inspection:
 
 def inspect(
     subject: Subject,
-    object: str,  # noqa: A002 (the field's name for it)
     protocol: Protocol | None = None,
-    shadows: Sequence[str] | None = None,
+    shadows: Sequence[str] = (),
     *,
     rule: DropRule | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -189,29 +191,36 @@ def inspect(
     """Inspect a run, a policy, or a controller in the policy's place.
 
     Args:
-        subject: see `open_subject`.
-        object: name of the object.
-        protocol: how it is rolled out; None is 16 episodes of 60 s.
-        shadows: names of the controllers to compare with; None is the subject's own choice.
-        rule: of soundness and drops.
+        subject: see `learning.evaluation.open_subject`.
+        protocol: how it is rolled out, with one object; None is 16 episodes as in training.
+        shadows: the controllers to compare with; none: see `roll_out`.
+        rule: of soundness and drops; None is `DropRule.of` the protocol's task.
         progress: called with what is going on and the share of it that is done.
 
     Raises:
         UnknownName, InvalidInput, SimulationError: see `roll_out` and `read_training`.
+        CheckpointError, MissingExtra: see `open_critic`.
     """
-    protocol = protocol if protocol is not None else Protocol(episodes=16)
-    rule = rule if rule is not None else DropRule()
+    if protocol is None:
+        protocol = subject.protocol(episodes=16)
+    rule = rule if rule is not None else DropRule.of(protocol.task)
     tell = progress if progress is not None else (lambda what, share: None)
+    critic, *remarks = open_critic(subject)
     training = None
-    if subject.folder is not None and RunFolder(subject.folder).progress_path.exists():
+    if subject.folder is not None and subject.folder.progress_path.exists():
         training = read_training(subject.folder)
     rollouts = roll_out(
         subject,
-        object,
         protocol,
         shadows,
+        critic=critic,
         progress=lambda now: tell("rollouts", now / protocol.seconds),
     )
+    name = rollouts.evaluation.object
+    if subject.objects and name not in subject.objects:
+        remarks.append(
+            f"The policy was trained with {', '.join(subject.objects)}, not with {name}."
+        )
     trace, period = rollouts.trace, rollouts.period
     grasps = examine(trace, rollouts.scene, progress=lambda share: tell("grasps", share))
     drops = find_drops(trace, grasps, period, rule)
@@ -234,6 +243,8 @@ def inspect(
         gait=gait_statistics(trace.in_contact, trace.held, period),
         rule=rule,
         training=training,
+        asked=critic,
+        remarks=tuple(remark for remark in remarks if remark is not None),
     )
 
 

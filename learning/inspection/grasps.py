@@ -12,7 +12,7 @@ from dexctl.grasp import epsilon_quality, is_force_closure, stability_forces
 from dexctl.hand import HandModel
 from dexctl.rotations import cross, inverse, multiply, rotation_vector
 from dexctl.state import Bools, Floats
-from learning.envs import reward as rewards
+from learning.envs.turning import tilt, upright_of
 
 if TYPE_CHECKING:
     from dexctl.sim import Scene, Trace
@@ -134,12 +134,9 @@ def _contacts(trace: Trace, index: Any) -> tuple[Floats, Floats, Bools, Floats]:
 
 
 def tilt_of(trace: Trace, scene: Scene) -> Floats:
-    """Tilt of the object since the settled grasp, as in the environments' reward, [rad]."""
-    upright = np.asarray(scene.settled.qpos[scene.object_qpos][3:])
+    """Tilt of the object from the trace's axis, as in the environments' reward, [rad]."""
     quaternion = trace.object_quaternion
-    return rewards.tilt(
-        quaternion, np.broadcast_to(upright, quaternion.shape), np.array([0.0, 0.0, 1.0])
-    )
+    return tilt(quaternion, np.broadcast_to(upright_of(scene), quaternion.shape), trace.axis)
 
 
 def _motion(hand: HandModel, trace: Trace, steps: slice) -> tuple[Floats, Floats]:

@@ -3,8 +3,8 @@
 From each drop we walk back to the last moment at which the grasp was sound. What failed first after
 it is the cause. The rule, with the numbers of `DropRule`:
 
-A grasp is *sound* where at least 3 fingertips touch, they have force closure, nothing else
-touches the object, and the object is tilted by at most 0.5 rad. Only spells of at least 0.5 s
+A grasp is *sound* where enough fingertips touch, they have force closure, nothing else touches the
+object, and the object is tilted by no more than the task rewards. Only spells of at least 0.5 s
 count: on the way down contacts flicker. The *onset* is the end of the last sound spell before the
 drop. Its cause is the first of these that holds:
 
@@ -36,6 +36,7 @@ from learning.inspection.gait import runs
 
 if TYPE_CHECKING:
     from dexctl.sim import Trace
+    from learning.envs.turning import TurningConfig
     from learning.inspection.grasps import Grasps
 
 CAUSES: Mapping[str, str] = {
@@ -72,6 +73,11 @@ class DropRule:
     window: float = 0.25
     retreat: float = 0.003
     slip: float = 0.003
+
+    @classmethod
+    def of(cls, task: TurningConfig) -> DropRule:
+        """The rule with fingertips and tilt as the task rewards them."""
+        return cls(fingertips=task.min_fingertips, tilt=task.max_tilt)
 
 
 @dataclass(frozen=True, eq=False)

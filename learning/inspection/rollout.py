@@ -9,14 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dexctl import controllers
-from dexctl.controller import Controller
-from dexctl.exceptions import UnknownName
 from dexctl.state import Bools, Floats, GraspState
-from learning.evaluate import Evaluation, Protocol, returns_of
-from learning.inspection.angles import action_angle
-from learning.inspection.critic import Valued
-from learning.inspection.shadow import ACTION, Shadowed
-from learning.inspection.subject import Subject
+from learning.evaluation import Evaluation, Protocol, Subject, rollout
+from learning.inspection.critic import Critic, Valued
+from learning.inspection.shadow import ACTION, Shadowed, action_angle
 from learning.policies import Policy
 
 if TYPE_CHECKING:
@@ -25,6 +21,8 @@ if TYPE_CHECKING:
 
 MOTION = 0.5
 """What counts as a motion, beside the single action [s]."""
+SHADOWS = ("igm", "gait", "coordinated")
+"""Controllers in shadow where nothing says which guided the training."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,71 +97,57 @@ class Rollouts:
 
 def roll_out(
     subject: Subject,
-    object: str,  # noqa: A002 (the field's name for it)
     protocol: Protocol,
-    shadows: Sequence[str] | None = None,
+    shadows: Sequence[str] = (),
     *,
+    critic: Critic | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Rollouts:
-    """Let the subject act in the evaluation protocol.
+    """Let the subject act in a protocol, and others say what they would do.
 
     Args:
         subject: who acts.
-        object: name of the object.
-        protocol: how.
-        shadows: names of the controllers in shadow; None is the subject's own choice.
+        protocol: how, with one object.
+        shadows: the controllers in shadow, as `dexctl.controllers.resolve` takes them; none: its
+            guides, or `SHADOWS`.
+        critic: of the subject's run.
         progress: called after each control step with the simulated time so far [s].
 
     Raises:
-        UnknownName: no such object or controller.
-        SimulationError: the hand does not hold the object.
+        UnknownName, InvalidInput, SimulationError: as `learning.evaluation.rollout`.
     """
-    from dexctl.sim import BatchSimulator, Scene, object_names, run
-
-    if object not in object_names():
-        raise UnknownName("object", object, object_names())
-    names = subject.shadows if shadows is None else tuple(dict.fromkeys(shadows))
-    acting, period = subject.controller, subject.controller.control_period
-    made: dict[str, Controller] = {
-        name: controllers.make(name, acting.hand, control_period=period) for name in names
+    names = tuple(dict.fromkeys(shadows or shadows_of(subject)))
+    acting = subject.acting(protocol)
+    period, axis = float(acting.control_period), protocol.task.direction
+    made = {
+        name: controllers.resolve(name, acting.hand, control_period=period, axis=axis)
+        for name in names
     }
-    scene = Scene.build(acting.hand, object, protocol.gravity)
-    controller = Shadowed(acting, made, subject.horizon)
-    with BatchSimulator(
-        scene,
-        protocol.episodes,
-        control_period=period,
-        substeps=protocol.substeps,
-        threads=protocol.threads,
-        seed=protocol.seed,
-    ) as sim:
-        controller.reset(protocol.seed)
-        trace = run(controller, sim, protocol.seconds, progress=progress)
-    evaluation = Evaluation(
-        object=object,
-        protocol=protocol,
-        rotation=trace.final_rotation,
-        time_held=trace.time_held,
-        dropped=trace.dropped,
-        diverged=trace.diverged[-1],
-        returns=returns_of(trace, scene, period, np.array(protocol.direction)),
-    )
-    found = {name: trace.diagnostics[f"shadow:{name}"] for name in names}
+    horizon = None if subject.trained is None else subject.trained.guidance.horizon
+    controller = Shadowed(acting, made, horizon)
+    found = rollout(controller, protocol, progress=progress)
+    trace, d = found.trace, acting.hand.nq
+    asked = {name: trace.diagnostics[f"shadow:{name}"] for name in names}
     valued = None
-    if subject.critic is not None and isinstance(acting, Policy):
-        steps = trace.held[:-1].shape
-        changes = [change.reshape(-1, acting.hand.nq) for change in found.values()]
-        judged = subject.critic.judge(acting, states_of(trace), changes)
-        valued = Valued(*(part.reshape(*steps, -1) for part in judged))
+    if critic is not None and isinstance(acting, Policy):
+        changes = [acting.action.from_change(change) for change in asked.values()]
+        actions = [one.reshape(-1, d) for one in (trace.diagnostics["action"], *changes)]
+        judged = critic.judge(states_of(trace), actions)
+        valued = Valued(*(part.reshape(*trace.held[:-1].shape, -1) for part in judged))
     return Rollouts(
-        scene=scene,
+        scene=found.scene,
         trace=trace,
-        evaluation=evaluation,
+        evaluation=found.evaluation,
         action=trace.diagnostics[ACTION],
-        shadows=found,
+        shadows=asked,
         horizon=controller.horizon,
         valued=valued,
     )
+
+
+def shadows_of(subject: Subject) -> tuple[str, ...]:
+    """The controllers to compare with where nobody says which."""
+    return subject.guides or tuple(name for name in SHADOWS if name != subject.name)
 
 
 def _sum_of_last(actions: Floats, steps: int) -> Floats:

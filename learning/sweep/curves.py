@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from learning.sweep.config import Cell, SweepConfig
 from learning.sweep.jobs import run_folder
@@ -48,10 +49,18 @@ class Curve(NamedTuple):
 
 def read_log(folder: Path, column: str) -> Log:
     """A column of the log of the run in ``folder``; empty where there is none yet."""
-    rows = RunFolder(folder).progress()
+    rows = read_rows(folder)
     array = np.array([(row["step"], row.get(column, np.nan)) for row in rows]).reshape(-1, 2)
     array = array[~np.isnan(array[:, 1])]
     return Log(array[:, 0], array[:, 1])
+
+
+def read_rows(folder: Path) -> list[dict[str, float]]:
+    """The rows of the log; none where it is damaged, which stops the run and not the others."""
+    try:
+        return RunFolder(folder).progress()
+    except InvalidInput:
+        return []
 
 
 def over_seeds(cell: Cell, logs: Sequence[Log], planned: int) -> Curve:

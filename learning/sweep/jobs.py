@@ -2,7 +2,7 @@
 
 A job has a folder. It leaves ``result.json`` there when it is done and ``failure.json`` when it
 failed, each whole or not at all; with neither, it has not been started or was killed half way, and
-goes on where its last checkpoint is. The training itself leaves what `learning.train` leaves.
+goes on where its last checkpoint is. The training itself leaves what a `RunFolder` holds.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dexctl.files import write_text
+from dexctl.settings import to_plain
 from learning.sweep.config import PlannedRun, SweepConfig
 
 RESULT, FAILURE, LOG = "result.json", "failure.json", "worker.log"
@@ -28,14 +29,14 @@ class Job:
     Attributes:
         name: of its folder.
         folder: an absolute path.
-        evaluation: of the sweep, as JSON has it.
-        config: of the training, as `TrainConfig.to_dict` has it; None: only evaluate.
+        protocol: of the evaluation, as `to_plain` has it.
+        config: of the training, as `to_plain` has it; None: only evaluate.
         threads: that it wants.
     """
 
     name: str
     folder: Path
-    evaluation: Mapping[str, Any]
+    protocol: Mapping[str, Any]
     config: Mapping[str, Any] | None = None
     threads: int = 1
 
@@ -68,17 +69,16 @@ class Outcome:
 def jobs(config: SweepConfig, out: Path) -> Iterator[Job]:
     """Everything that a sweep has to do, the controllers first: they take no training."""
     out = out.resolve()
-    content = config.to_dict()
-    evaluation = content["evaluation"]
-    for name in config.evaluation.controllers:
-        yield Job(name, controller_folder(out, name), evaluation)
+    protocol, threads = to_plain(config.protocol), config.protocol.scene.threads or 1
+    for name in config.compared:
+        yield Job(name, controller_folder(out, name), protocol, threads=threads)
     for run in config.runs:
         yield Job(
             run.name,
             run_folder(out, run),
-            evaluation,
-            content["runs"][run.name],
-            max(run.config.torch_threads, run.config.env.threads or 1),
+            protocol,
+            to_plain(run.config),
+            max(run.config.torch_threads, run.config.env.scene.threads or 1, threads),
         )
 
 

@@ -1,53 +1,153 @@
-"""The parts of a sweep's file: each is checked, and what is wrong is named in one line."""
+"""From a sweep's file to what it means; what is wrong with it is named in one line.
+
+A file names methods, controllers and seeds; ``[train]`` changes `TrainConfig`, and
+``[method.NAME]`` does so for one method, which may have ``controllers`` and ``seeds`` of its own;
+``[evaluation]`` changes `Protocol`, and ``[criterion]`` says what counts. ``examples/sweep.toml``
+is one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
-from learning.envs import EnvConfig
-from learning.evaluate import Protocol
-from learning.exploration import GuidanceConfig
-from learning.recipes import recipe
-from learning.settings import TrainConfig
+from learning.config import TrainConfig
+from learning.exploration.config import METHODS, check_controllers
+from learning.sweep import tables
+from learning.sweep.config import Criterion, PlannedRun, SweepConfig
 
-_ELSEWHERE = ("env", "guidance", "controllers", "seed")  # of TrainConfig: tables, or the matrix
+_TOP = ("name", "methods", "controllers", "seeds", "train", "method", "evaluation", "criterion")
 
 
-@dataclass(frozen=True, kw_only=True)
-class EvaluationPlan:
-    """How the policies of a sweep are evaluated.
+def load_sweep(path: Path, *, seed: int = 0, steps: int | None = None) -> SweepConfig:
+    """Read a file.
 
-    Attributes:
-        objects: by name, one after the other.
-        gravity: which way the palm looks.
-        episodes, seconds, seed: as `learning.evaluate.Protocol`'s.
-        controllers: evaluated in a policy's place, for comparison.
-        hand, control_period: of these.
+    Args:
+        path: TOML.
+        seed, steps: see `parse_sweep`.
+
+    Raises:
+        UnknownName, InvalidInput: it is not right; one line that says what.
     """
-
-    objects: tuple[str, ...]
-    gravity: str | tuple[float, float, float]
-    episodes: int
-    seconds: float
-    seed: int
-    controllers: tuple[str, ...]
-    hand: str
-    control_period: float
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InvalidInput(f"cannot read {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{path} is not TOML: {error}") from None
+    return parse_sweep({"name": path.stem, **given}, path.parent, seed=seed, steps=steps)
 
 
-def check_keys(where: str, values: Mapping[str, Any], known: Iterable[str]) -> None:
-    """Raise UnknownName where ``values`` has a key that is not known."""
-    known = tuple(known)
-    for key in values:
-        if key not in known:
-            raise UnknownName(f"setting of {where}", key, known)
+def parse_sweep(
+    given: Mapping[str, Any],
+    folder: Path = Path(),
+    *,
+    seed: int = 0,
+    steps: int | None = None,
+) -> SweepConfig:
+    """The sweep that a mapping, as TOML gives it, describes.
+
+    Args:
+        given: the mapping.
+        folder: that files in it are meant from.
+        seed: added to every seed in it.
+        steps: environment steps of each run, in place of those in it.
+
+    Raises:
+        UnknownName, InvalidInput: it is not right.
+    """
+    for key in given:
+        if key not in _TOP:
+            raise UnknownName("setting of sweep", key, _TOP)
+    if seed < 0:
+        raise InvalidInput(f"--seed is {seed}; expected a whole number from 0 on")
+    name = given.get("name", "sweep")
+    if not isinstance(name, str):
+        raise InvalidInput(f"name is {name!r}; expected a text")
+    methods = _methods(given)
+    overrides = _table(given, "method")
+    for method in overrides:
+        if method not in METHODS:
+            raise UnknownName("method", method, METHODS)
+        if method not in methods:
+            raise InvalidInput(f"[method.{method}] is given; methods are {', '.join(methods)}")
+    base = tables.changes(_table(given, "train"), "train")
+    last = tables.Changes(None, {} if steps is None else {"steps": steps})
+    plan: list[list[TrainConfig]] = []
+    for method in methods:
+        over = dict(_table(overrides, method, f"method.{method}"))
+        groups = _groups(over.pop("controllers", given.get("controllers", [])))
+        seeds = _seeds(over.pop("seeds", given.get("seeds", 1)))
+        parts = (base, tables.changes(over, f"method.{method}"), last)
+        plan += [
+            [tables.train_config(parts, method, group, seed + k, folder) for k in seeds]
+            for group in _rows(method, groups)
+        ]
+    runs = tuple(PlannedRun(config) for config in _seeds_first(plan))
+    criterion = Criterion.from_dict(_table(given, "criterion"))
+    evaluation = dict(_table(given, "evaluation"))
+    compared = _compared(evaluation.pop("controllers", []))
+    if criterion.rotation is None:
+        compared += [name for made in plan for name in made[0].guides]
+        if not compared:
+            raise InvalidInput('criterion.rotation is "guide", and no controllers are in the sweep')
+    return SweepConfig(
+        name=name,
+        runs=runs,
+        protocol=tables.protocol(evaluation, [run.config for run in runs], folder),
+        compared=tuple(dict.fromkeys(compared)),
+        criterion=criterion,
+        given=given,
+    )
 
 
-def table(values: Mapping[str, Any], name: str, title: str | None = None) -> Mapping[str, Any]:
+def _methods(given: Mapping[str, Any]) -> list[str]:
+    methods = given.get("methods")
+    if not isinstance(methods, list) or not methods:
+        raise InvalidInput(f"methods is {methods!r}; expected a list of {', '.join(METHODS)}")
+    for method in methods:
+        if method not in METHODS:
+            raise UnknownName("method", method, METHODS)
+    _check_different("methods", methods)
+    return methods
+
+
+def _rows(method: str, groups: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """The controllers of each row of a method."""
+    if method == "rl":
+        return [()]
+    if not groups:
+        raise InvalidInput(
+            f"method {method!r} has no controllers; expected some of "
+            f"{', '.join(controllers.names())}"
+        )
+    for group in groups:
+        check_controllers(method, group)
+    return groups
+
+
+def _compared(values: Any) -> list[str]:
+    groups = _groups(values, "evaluation.controllers")
+    for group in groups:
+        if len(group) > 1:
+            raise InvalidInput(
+                f"evaluation.controllers has {list(group)}; each is evaluated by itself"
+            )
+    return [name for group in groups for name in group]
+
+
+def _seeds_first(plan: list[list[TrainConfig]]) -> Iterator[TrainConfig]:
+    for k in range(max(map(len, plan))):
+        for made in plan:
+            if k < len(made):
+                yield made[k]
+
+
+def _table(values: Mapping[str, Any], name: str, title: str | None = None) -> Mapping[str, Any]:
     """The table ``name``, empty where there is none."""
     found = values.get(name, {})
     if not isinstance(found, Mapping):
@@ -55,32 +155,33 @@ def table(values: Mapping[str, Any], name: str, title: str | None = None) -> Map
     return found
 
 
-def check_different(what: str, values: Sequence[Any]) -> None:
+def _check_different(what: str, values: Sequence[Any]) -> None:
     """Raise InvalidInput where a value is there twice."""
     for i, value in enumerate(values):
         if value in values[:i]:
             raise InvalidInput(f"{what} has {value!r} twice")
 
 
-def groups(values: Any) -> list[tuple[str, ...]]:
+def _groups(values: Any, what: str = "controllers") -> list[tuple[str, ...]]:
     """Controllers: names, or lists of names that guide together."""
     if not isinstance(values, list):
-        raise InvalidInput(f"controllers is {values!r}; expected a list of names")
+        raise InvalidInput(f"{what} is {values!r}; expected a list of names")
     found = []
     for value in values:
         group = tuple(value) if isinstance(value, list) else (value,)
         if not group:
-            raise InvalidInput("controllers has an empty list; expected names")
+            raise InvalidInput(f"{what} has an empty list; expected names")
         for name in group:
-            if not isinstance(name, str) or name not in controllers.names():
+            if not isinstance(name, str):
                 raise UnknownName("controller", name, controllers.names())
-        check_different("a group of controllers", group)
+            controllers.entry(name)
+        _check_different(f"a group of {what}", group)
         found.append(group)
-    check_different("controllers", found)
+    _check_different(what, found)
     return found
 
 
-def seeds(value: Any) -> list[int]:
+def _seeds(value: Any) -> list[int]:
     """Seeds: a list of them, or how many, from 0 on."""
     if _whole(value, 1):
         return list(range(value))
@@ -88,152 +189,9 @@ def seeds(value: Any) -> list[int]:
         raise InvalidInput(
             f"seeds is {value!r}; expected how many, or a list of whole numbers from 0 on"
         )
-    check_different("seeds", value)
+    _check_different("seeds", value)
     return value
-
-
-def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with what ``over`` has, tables within tables included."""
-    found = dict(base)
-    for key, value in over.items():
-        before = found.get(key)
-        if isinstance(value, Mapping) and isinstance(before, Mapping):
-            found[key] = merged(before, value)
-        else:
-            found[key] = value
-    return found
-
-
-def check_settings(values: Mapping[str, Any], where: str) -> None:
-    """Raise UnknownName where [train] or [method.METHOD] names a setting that there is not."""
-    check_keys(where, values, (*_names(TrainConfig, _ELSEWHERE), "env", "guidance", "recipe"))
-    check_keys(f"{where}.env", table(values, "env", f"{where}.env"), _names(EnvConfig))
-    guidance = table(values, "guidance", f"{where}.guidance")
-    check_keys(f"{where}.guidance", guidance, _names(GuidanceConfig, ("method",)))
-
-
-def train_config(
-    settings: Mapping[str, Any], method: str, names: tuple[str, ...], seed: int
-) -> TrainConfig:
-    """The configuration of one run, from [train] with what [method.METHOD] changes.
-
-    Both go before the settings of a recipe that one of them names.
-    """
-    if "recipe" in settings:
-        chosen = recipe(settings["recipe"], method)
-        given = {key: value for key, value in settings.items() if key != "recipe"}
-        base = {**chosen.training, "env": chosen.env, "guidance": chosen.guidance}
-        settings = merged(base, given)
-    top = {key: value for key, value in settings.items() if key not in ("env", "guidance")}
-    env = _options(EnvConfig, table(settings, "env"), "train.env")
-    guidance = _options(GuidanceConfig, table(settings, "guidance"), "train.guidance")
-    made = _made(
-        TrainConfig,
-        "train",
-        **_options(TrainConfig, top, "train"),
-        # one thread for each run: several are run side by side
-        env=_made(EnvConfig, "train.env", **{"threads": 1, **env}),
-        guidance=_made(GuidanceConfig, "train.guidance", method=method, **guidance),
-        controllers=names,
-        seed=seed,
-    )
-    _check_objects("train.env.object", made.env.objects)
-    _check_gravity(made.env.gravity)
-    return made
-
-
-def evaluation(values: Mapping[str, Any], env: EnvConfig, needed: Sequence[str]) -> EvaluationPlan:
-    """The table [evaluation]; objects and gravity are those trained with, unless it has others.
-
-    Args:
-        values: the table.
-        env: of the first run.
-        needed: controllers that are to be evaluated beside those that it names.
-    """
-    check_keys(
-        "evaluation", values, ("objects", "gravity", "episodes", "seconds", "seed", "controllers")
-    )
-    objects = values.get("objects", list(env.objects))
-    if not isinstance(objects, list) or not objects:
-        raise InvalidInput(f"evaluation.objects is {objects!r}; expected a list of names")
-    check_different("evaluation.objects", objects)
-    _check_objects("evaluation.objects", objects)
-    gravity = values.get("gravity", env.gravity)
-    gravity = tuple(gravity) if isinstance(gravity, list) else gravity
-    _check_gravity(gravity)
-    number = values.get("seed", 0)
-    if not _whole(number, 0):
-        raise InvalidInput(f"evaluation.seed is {number!r}; expected a whole number from 0 on")
-    protocol = _made(
-        Protocol,
-        "evaluation",
-        episodes=values.get("episodes", 100),
-        seconds=values.get("seconds", 60.0),
-    )
-    if protocol.seconds < env.control_period:
-        raise InvalidInput(
-            f"evaluation.seconds is {protocol.seconds}; expected at least one control period of "
-            f"{env.control_period}"
-        )
-    compared = groups(values.get("controllers", []))
-    for group in compared:
-        if len(group) > 1:
-            raise InvalidInput(
-                f"evaluation.controllers has {list(group)}; each is evaluated by itself"
-            )
-    return EvaluationPlan(
-        objects=tuple(objects),
-        gravity=gravity,
-        episodes=protocol.episodes,
-        seconds=float(protocol.seconds),
-        seed=number,
-        controllers=tuple(dict.fromkeys([*(group[0] for group in compared), *needed])),
-        hand=env.hand,
-        control_period=env.control_period,
-    )
-
-
-def _check_objects(what: str, names: Sequence[Any]) -> None:
-    from dexctl.sim import object_names
-
-    for name in names:
-        if name not in object_names():
-            raise UnknownName(f"object in {what}", name, object_names())
-
-
-def _check_gravity(gravity: Any) -> None:
-    from dexctl.sim.scene import gravity_vector
-
-    gravity_vector(gravity)
 
 
 def _whole(value: Any, least: int) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
-def _names(kind: type, left_out: Iterable[str] = ()) -> tuple[str, ...]:
-    return tuple(one.name for one in fields(kind) if one.name not in left_out)
-
-
-def _made(kind: type, where: str, **options: Any) -> Any:
-    try:
-        return kind(**options)
-    except TypeError as error:  # a list where a number belongs, and the like
-        raise InvalidInput(f"[{where}] has a value of the wrong kind: {error}") from None
-
-
-def _options(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """What a dataclass takes, from TOML: its lists are tuples, its whole numbers may be floats."""
-    defaults = {one.name: one.default for one in fields(kind)}
-    found = {}
-    for name, value in values.items():
-        default = defaults[name]
-        if default is not MISSING and isinstance(value, bool) != isinstance(default, bool):
-            wanted = "true or false" if isinstance(default, bool) else "no truth value"
-            raise InvalidInput(f"{where}.{name} is {value!r}; expected {wanted}")
-        if isinstance(default, str) and not isinstance(value, str | list):
-            raise InvalidInput(f"{where}.{name} is {value!r}; expected a name")
-        if isinstance(default, float) and isinstance(value, int):
-            value = float(value)
-        found[name] = tuple(value) if isinstance(value, list) else value
-    return found

@@ -15,7 +15,7 @@ from dexctl.files import aside
 from dexctl.statistics import bootstrap, wilson
 from learning.sweep.config import Cell, Criterion, PlannedRun, SweepConfig
 from learning.sweep.jobs import controller_folder, outcome, run_folder
-from learning.sweep.table import DROPPED, FORMAT, RETURN, ROTATION
+from learning.sweep.table import DROPPED, FORMAT, RETURN, ROTATION, objects_of
 
 STATES = ("finished", "failed", "unfinished", "not started")
 
@@ -28,9 +28,7 @@ def collect(config: SweepConfig, out: Path) -> dict[str, Any]:
         ``controllers`` (evaluated in a policy's place), and ``cells`` (one for each method, group
         of controllers and object).
     """
-    compared = {
-        name: _controller(controller_folder(out, name)) for name in config.evaluation.controllers
-    }
+    compared = {name: _controller(controller_folder(out, name)) for name in config.compared}
     runs = [_run(run, out) for run in config.runs]
     content = config.to_dict()
     return {
@@ -44,7 +42,7 @@ def collect(config: SweepConfig, out: Path) -> dict[str, Any]:
         "cells": [
             _cell(cell, name, config, runs, compared)
             for cell in config.cells
-            for name in config.evaluation.objects
+            for name in config.objects
         ],
         "settings": {
             cell.name: _without_seed(content["runs"], cell, config.runs) for cell in config.cells
@@ -64,7 +62,7 @@ def write_csv(path: Path, results: Mapping[str, Any]) -> None:
         for run in results["runs"]:
             head = [run["method"], " ".join(run["controllers"]), run["seed"], run["state"]]
             tail = [run["steps"], run["training_seconds"], run["error"]]
-            for name in results["evaluation"]["objects"]:
+            for name in objects_of(results):
                 figures = (run["objects"] or {}).get(name, {})
                 rotation = figures.get(ROTATION, {})
                 row = [rotation.get(key) for key in ("value", "low", "high")]

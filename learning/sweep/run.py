@@ -7,13 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.files import write_text
 from learning.sweep.config import SweepConfig, difference
-from learning.sweep.jobs import Job, Outcome, jobs, outcome
+from learning.sweep.jobs import RUNS, Job, Outcome, jobs, outcome
+from learning.training.run_folder import RunFolder
 
 CONFIG = "sweep.json"
-FORMAT = 1
+FORMAT = 2
 
 
 class Pool(Protocol):
@@ -43,7 +44,7 @@ def prepare(config: SweepConfig, out: Path) -> None:
     """
     if (out / CONFIG).exists():
         check(config, out)
-    elif any((out / name).exists() for name in ("runs", "config.json")):
+    elif (out / RUNS).exists() or RunFolder.is_run(out):
         raise InvalidInput(f"{out} holds something else; take another --out")
     content = {"format": FORMAT, **config.to_dict()}
     write_text(out / CONFIG, json.dumps(content, indent=2) + "\n")
@@ -67,8 +68,13 @@ def reopen(out: Path) -> SweepConfig:
         InvalidInput: it holds none, or one that this version understands otherwise.
     """
     before = _read(out / CONFIG)
-    config = SweepConfig.parse(before["given"])
-    found = difference(before, config.to_dict())
+    try:
+        config = SweepConfig.from_dict(before)
+        found = difference(before, config.to_dict())
+    except DexctlError as error:
+        found = str(error)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InvalidInput(f"{out / CONFIG} is damaged: {error!r}") from None
     if found is not None:
         raise InvalidInput(f"{out} was begun by another version of dexctl: {found}")
     return config

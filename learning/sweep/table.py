@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
+from dexctl.settings import from_plain, to_plain
+from dexctl.sim.scene_config import SceneConfig
+from learning.evaluation.protocol import Protocol
 
 METHODS = {"rl": "RL", "rl+bc": "RL+BC", "fge": "FGE", "vge": "VGE", "vge+bc": "VGE+BC"}
 NONE = "-"
-FORMAT = 1
+_SAID = ("object", "gravity", "threads", "episodes", "seconds", "seed")  # in words of their own
+FORMAT = 2
+_FORMATS = (1, 2)  # the first had the evaluation's objects and gravity without a scene
 ROTATION, RETURN, DROPPED = "rotation_median_rad", "return_mean", "share_dropped"
 
 
@@ -25,7 +30,8 @@ def table(results: Mapping[str, Any], *, titles: bool = True) -> tuple[list[str]
         InvalidInput: it holds something else.
     """
     _check_format(results)
-    several = len(results["evaluation"]["objects"]) > 1
+    objects = objects_of(results)
+    several = len(objects) > 1
     header = ["Method", "Controllers", *(["Object"] if several else []), "Seeds", "Learned",
               "Rotation, rad", "Return", "Dropped"]  # fmt: skip
     rows = [
@@ -42,7 +48,7 @@ def table(results: Mapping[str, Any], *, titles: bool = True) -> tuple[list[str]
         for cell in results["cells"]
     ]
     for name, found in results["controllers"].items():
-        for kind in results["evaluation"]["objects"]:
+        for kind in objects:
             figures = (found["objects"] or {}).get(kind, {})
             rows.append(
                 [
@@ -61,7 +67,11 @@ def table(results: Mapping[str, Any], *, titles: bool = True) -> tuple[list[str]
 
 def caption(results: Mapping[str, Any]) -> str:
     """What the table's figures are, in a paragraph."""
+    _check_format(results)
     plan, criterion = results["evaluation"], results["criterion"]["rotation"]
+    palm = from_plain(SceneConfig, {"gravity": plan.get("scene", plan)["gravity"]}).palm
+    usual = to_plain(Protocol())
+    conditions = ", ".join([*objects_of(results), palm, *_unusual(plan, usual)])
     steps = sorted({settings["steps"] for settings in results["settings"].values()})
     if criterion == "guide":
         learned = "at least that of the best controller that guided it (RL: of the best of all)"
@@ -69,12 +79,28 @@ def caption(results: Mapping[str, Any]) -> str:
         learned = f"at least {criterion:.4g} rad"
     budget = " or ".join(f"{one:,}" for one in steps)
     return (
-        f"{budget} environment steps; {', '.join(plan['objects'])}, {_palm(plan['gravity'])}. "
+        f"{budget} environment steps; {conditions}. "
         f"Each policy: {plan['episodes']} episodes of "
         f"{plan['seconds']:g} s, rotation is their median, return and dropped their mean. Over "
         f"seeds: interquartile mean (dropped: mean) with 95 % bootstrap interval. Learned: seeds "
         f"whose rotation is {learned}, with 95 % Wilson interval."
     )
+
+
+def _unusual(plan: Mapping[str, Any], usual: Mapping[str, Any]) -> Iterator[str]:
+    """The settings of scene and task that are not those of the standard protocol."""
+    for name, value in plan.items():
+        if isinstance(value, Mapping):
+            yield from _unusual(value, usual.get(name, {}))
+        elif name in usual and name not in _SAID and value != usual[name]:
+            yield f"{name} {value}"
+
+
+def objects_of(results: Mapping[str, Any]) -> list[str]:
+    """The objects that a sweep's policies were evaluated with."""
+    plan = results["evaluation"]
+    found = plan["objects"] if "objects" in plan else plan["scene"]["object"]
+    return list(dict.fromkeys(found))
 
 
 def markdown_table(results: Mapping[str, Any]) -> str:
@@ -134,16 +160,10 @@ def _number(value: float, digits: int) -> str:
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
-def _palm(gravity: Any) -> str:
-    if isinstance(gravity, str):
-        return f"palm {gravity}"
-    return f"gravity {', '.join(f'{one:g}' for one in gravity)} m/s²"
-
-
 def _check_format(results: Mapping[str, Any]) -> None:
     """Raise InvalidInput where ``results`` are not of a sweep, or of another version's."""
-    if results.get("command") != "sweep" or results.get("format") != FORMAT:
+    if results.get("command") != "sweep" or results.get("format") not in _FORMATS:
         raise InvalidInput(
             f"these are results of {results.get('command')!r} in format {results.get('format')}; "
-            f"expected 'sweep' in format {FORMAT}"
+            f"expected 'sweep' in format {FORMAT} or before"
         )

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from dexctl import controllers, hands
-from dexctl.controller import Controller
 from dexctl.exceptions import DexctlError, InvalidInput
-from learning.evaluate import Evaluation, Protocol, evaluate
+from dexctl.settings import from_plain
+from learning.config import TrainConfig
+from learning.evaluation import Evaluation, Protocol, evaluate, open_subject
 from learning.sweep.jobs import FAILURE, Job, write_failure, write_result
 from learning.training.run_folder import RunFolder
 
@@ -36,73 +36,48 @@ def do(job: Job) -> None:
     Raises:
         Exception: whatever went wrong.
     """
-    run = RunFolder(job.folder)
-    with run.lock(wait=2 * SECONDS_TO_SAVE):
-        run.clean()
+    folder = RunFolder(job.folder)
+    # of a sweep that was killed, a process may still be saving here; training locks it for itself
+    with folder.lock(wait=2 * SECONDS_TO_SAVE):
+        folder.clean()
         (job.folder / FAILURE).unlink(missing_ok=True)
-        found: dict[str, Any] = {"name": job.name, "evaluation": job.evaluation}
-        hand = None
-        if job.config is None:
-            hand = hands.load(job.evaluation["hand"])
-            period = job.evaluation["control_period"]
-            actor = controllers.make(job.name, hand, control_period=period)
-        else:
-            actor, trained = _train(job)
-            found |= trained
-        start = time.monotonic()
-        evaluations = [_evaluate(actor, name, job) for name in job.evaluation["objects"]]
-        found["evaluation_seconds"] = time.monotonic() - start
-        found["objects"] = {one.object: one.to_dict() for one in evaluations}
-        found["episodes"] = {one.object: _episodes(one) for one in evaluations}
-        write_result(job.folder, found)
-
-
-def _train(job: Job) -> tuple[Controller, dict[str, Any]]:
-    """Train, or go on training; the policy and what is known of it."""
-    from learning.policies import load as load_policy
-    from learning.settings import TrainConfig
-    from learning.train import read_config, resume, train
-
-    config = TrainConfig.from_dict(job.config or {})
-    if RunFolder.is_run(job.folder):
-        if read_config(job.folder) != config:
-            raise InvalidInput(f"{job.folder} holds a run with another configuration")
-        begun = RunFolder(job.folder).checkpoint_path.exists()
-        _remark(f"{job.name} goes on from {'its checkpoint' if begun else 'the beginning'}")
-        found = resume(job.folder, remark=_remark)
-    else:
-        found = train(config, job.folder, remark=_remark)
-    last = {name: float(value) for name, value in found["last"].items()}
-    policy = policies.load(found["policy"])
-    bad = [name for name, value in last.items() if not np.isfinite(value)]
-    if bad or not all(np.isfinite(array).all() for layer in policy.layers for array in layer):
-        raise TrainingFailed(
-            f"training diverged: {', '.join(bad) or 'the weights'} not finite after "
-            f"{found['steps']} steps"
-        )
-    return policy, {
-        "config": config.to_dict(),
-        "steps": found["steps"],
-        "training_seconds": last.get("seconds"),
-        "last": last,
-        "versions": policy.card.get("versions"),
-    }
-
-
-def _evaluate(actor: Controller, name: str, job: Job) -> Evaluation:
-    plan = job.evaluation
-    gravity = plan["gravity"]
-    return evaluate(
-        actor,
-        name,
-        Protocol(
-            episodes=plan["episodes"],
-            seconds=plan["seconds"],
-            seed=plan["seed"],
-            gravity=gravity if isinstance(gravity, str) else tuple(gravity),
-            threads=job.threads,
-        ),
+    found: dict[str, Any] = {"name": job.name, "evaluation": job.protocol}
+    if job.config is not None:
+        found |= _train(from_plain(TrainConfig, job.config), folder)
+    protocol = from_plain(Protocol, job.protocol)
+    who = open_subject(
+        job.name if job.config is None else str(job.folder), hand=protocol.scene.hand
     )
+    start = time.monotonic()
+    evaluations = [
+        evaluate(who, protocol, object=name) for name in dict.fromkeys(protocol.scene.object)
+    ]
+    found["evaluation_seconds"] = time.monotonic() - start
+    found["objects"] = {one.object: one.to_dict() for one in evaluations}
+    found["episodes"] = {one.object: _episodes(one) for one in evaluations}
+    found["versions"] = (who.card or {}).get("versions")
+    write_result(job.folder, found)
+
+
+def _train(config: TrainConfig, folder: RunFolder) -> dict[str, Any]:
+    """Train, or go on training; what is known of the run."""
+    from learning.training.trainer import resume, train
+
+    if RunFolder.is_run(folder.path):
+        if folder.config() != config:
+            raise InvalidInput(f"{folder.path} holds a run with another configuration")
+        begun = folder.checkpoint_path.exists()
+        _remark(f"the run goes on from {'its checkpoint' if begun else 'the beginning'}")
+        found = resume(folder.path, remark=_remark)
+    else:
+        found = train(config, folder.path, remark=_remark)
+    last = {name: float(value) for name, value in found["last"].items()}
+    bad = [name for name, value in last.items() if not np.isfinite(value)]
+    if bad:
+        raise TrainingFailed(
+            f"training diverged: {', '.join(bad)} not finite after {found['steps']} steps"
+        )
+    return {"steps": found["steps"], "training_seconds": last.get("seconds"), "last": last}
 
 
 def _episodes(one: Evaluation) -> dict[str, list[Any]]:

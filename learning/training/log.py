@@ -7,15 +7,12 @@ import io
 import os
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
 from dexctl.files import aside
-
-if TYPE_CHECKING:
-    from learning.training.run_folder import RunFolder
 
 COLUMNS = {
     "step": "environment steps so far",
@@ -149,7 +146,8 @@ class RunLog:
     """The CSV file and the TensorBoard log of a run.
 
     Args:
-        folder: of the run.
+        path: of the CSV file.
+        board: the folder of TensorBoard's.
         resume_at: continue logs that were written up to this step; what they have beyond it, of
             a run that was killed after its last checkpoint, is taken out. None begins anew.
         controllers: those that have columns of their own.
@@ -159,9 +157,13 @@ class RunLog:
     """
 
     def __init__(
-        self, folder: RunFolder, resume_at: int | None = None, controllers: Sequence[str] = ()
+        self,
+        path: Path,
+        board: Path,
+        resume_at: int | None = None,
+        controllers: Sequence[str] = (),
     ) -> None:
-        self.path = folder.progress_path
+        self.path = path
         names = columns(controllers)
         rows = [] if resume_at is None else read_rows(self.path)
         with (
@@ -176,7 +178,7 @@ class RunLog:
         self._file = self.path.open("a", newline="", encoding="utf-8")
         self._csv = _writer(self._file, names)
         self._board = SummaryWriter(
-            str(folder.tensorboard_path),
+            str(board),
             purge_step=0 if resume_at is None else resume_at + 1,
         )
 

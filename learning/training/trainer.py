@@ -158,7 +158,9 @@ class Trainer:
         if saved is not None:
             self._restore(saved)
             resume_at = self.algorithm.steps
-        self._log = RunLog(self.folder, resume_at, self.config.guides)
+        self._log = RunLog(
+            self.folder.progress_path, self.folder.tensorboard_path, resume_at, self.config.guides
+        )
         if self.algorithm.steps < self.config.steps:
             # the pool waits for a step that is under way, also where an update fails
             with interruptible(self), ThreadPoolExecutor(1, "environments") as pool:

@@ -210,7 +210,7 @@ def test_rotate_about_another_axis_with_limits(tmp_path: Path) -> None:
         ("rotate --gravity 0,0", "'0,0' is neither a name nor three finite numbers"),
         ("rotate --gravity 0,0,nan", "'0,0,nan' is neither a name nor three"),
         ("rotate --axis w", "unknown axis 'w'; known: x, y, z"),
-        ("rotate --axis 0,0,0", "axis is (0.0, 0.0, 0.0); expected x, y, z or a vector"),
+        ("rotate --axis 0,0,0", "axis is (0.0, 0.0, 0.0); expected three finite numbers"),
         ("rotate --object cube sphere", "--object is cube sphere; this command takes one"),
         ("rotate --object", "object is (); expected a name"),
         ("rotate --initial-states /none.npz", "'/none.npz' cannot be read"),

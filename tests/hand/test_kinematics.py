@@ -10,7 +10,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel, random_configurations
 
 
-@pytest.fixture(params=["dex5", "allegro"])
+@pytest.fixture(params=["dex5", "four_fingers"])
 def hand(request: pytest.FixtureRequest) -> HandModel:
     return request.getfixturevalue(request.param)
 

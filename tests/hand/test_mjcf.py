@@ -231,11 +231,16 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         HandModel.from_mjcf(tmp_path / "absent.xml", TIPS)
 
 
-def test_a_hand_out_of_a_scene(menagerie: Path) -> None:
-    folder = menagerie / "wonik_allegro"
+def test_a_hand_out_of_a_scene(menagerie: Path, tmp_path: Path) -> None:
+    file = menagerie / "wonik_allegro" / "right_hand.xml"
     tips = ["ff_tip", "mf_tip", "rf_tip", "th_tip"]
-    scene = HandModel.from_mjcf(folder / "scene_right.xml", tips)
-    alone = HandModel.from_mjcf(folder / "right_hand.xml", tips)
+    (tmp_path / "scene.xml").write_text(
+        f"""<mujoco><include file="{file}"/><worldbody>
+        <body><freejoint/><geom type="sphere" size="0.03"/></body>
+        </worldbody></mujoco>"""
+    )
+    scene = HandModel.from_mjcf(tmp_path / "scene.xml", tips)
+    alone = HandModel.from_mjcf(file, tips)
     assert scene.joint_names == alone.joint_names
     assert len(scene.ignored_joints) == 1  # the object's free joint
     q = random_configurations(alone, 5, seed=6)

@@ -83,13 +83,13 @@ def test_compiled_and_plain_agree(
 
 
 def test_compiled_and_plain_agree_for_four_fingers_of_four_joints(
-    allegro: dexctl.HandModel,
+    four_fingers: dexctl.HandModel,
 ) -> None:
     rng = np.random.default_rng(3)
-    compiled = InGraspManipulation(allegro, engine="compiled")
-    plain = InGraspManipulation(allegro, engine="plain")
+    compiled = InGraspManipulation(four_fingers, engine="compiled")
+    plain = InGraspManipulation(four_fingers, engine="plain")
     for _ in range(20):
-        state = _state(allegro, rng, 4, True)
+        state = _state(four_fingers, rng, 4, True)
         np.testing.assert_allclose(compiled.act(state), plain.act(state), atol=1e-9)
 
 

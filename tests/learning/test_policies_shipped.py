@@ -15,17 +15,17 @@ import dexctl
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
 from learning import policies
-from learning.evaluate import Protocol, evaluate
+from learning.evaluation import evaluate, open_subject
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", policies.names())
 def test_each_turns_its_objects_all_the_way_round(name: str) -> None:
-    policy = policies.load(name)
-    trained = policy.card["trained"]["env"]["object"]
-    for turned in [trained] if isinstance(trained, str) else trained:
-        found = evaluate(policy, turned, Protocol(episodes=4, seconds=20.0, seed=1000))
+    subject = open_subject(name)
+    protocol = subject.protocol(episodes=4, seconds=20.0, seed=1000)
+    for turned in subject.objects:
+        found = evaluate(subject, protocol, object=turned)
         assert np.median(found.rotation) > 2 * np.pi, turned
 
 
@@ -46,16 +46,16 @@ def test_the_package_is_small() -> None:
 def test_learned_is_a_controller_of_that_name(dex5: dexctl.HandModel) -> None:
     policy = policies.learned(dex5)
     assert policy.hand is dex5
-    objects = policy.card["trained"]["env"]["object"]
-    assert len(objects) == 5  # the one for several objects comes first
-    assert policies.learned(dex5, policy="dex5-cylinder").card["trained"]["env"]["object"] == (
-        "cylinder"
-    )
+    assert len(open_subject("learned").objects) == 5  # the one for several objects comes first
+    assert policy.card == open_subject("learned").card
+    assert open_subject("dex5-cylinder").objects == ("cylinder",)
 
 
-def test_what_there_is_no_policy_for(dex5: dexctl.HandModel, allegro: dexctl.HandModel) -> None:
+def test_what_there_is_no_policy_for(
+    dex5: dexctl.HandModel, four_fingers: dexctl.HandModel
+) -> None:
     with pytest.raises(InvalidInput, match=r"for the hand .*; there is one for dex5"):
-        policies.learned(allegro)
+        policies.learned(four_fingers)
     with pytest.raises(InvalidInput, match=r"control_period is 0.02; .* was trained with 0.05"):
         policies.learned(dex5, control_period=0.02)
     with pytest.raises(UnknownName, match="'dex5-pen'; known: "):

@@ -109,11 +109,11 @@ def test_loading_needs_numpy_alone(tmp_path: Path, spec: PolicySpec, layers: lis
 
 
 def test_another_hand_is_refused(
-    tmp_path: Path, spec: PolicySpec, layers: list[Layer], allegro: dexctl.HandModel
+    tmp_path: Path, spec: PolicySpec, layers: list[Layer], four_fingers: dexctl.HandModel
 ) -> None:
     policies.save(tmp_path / "p.npz", layers, spec)
     with pytest.raises(InvalidInput, match=r"policy is for the hand 'dex5' \(15 joints, 5 fing"):
-        policies.load(tmp_path / "p.npz", hand=allegro)
+        policies.load(tmp_path / "p.npz", hand=four_fingers)
 
 
 def test_other_parts_are_refused(tmp_path: Path, spec: PolicySpec, layers: list[Layer]) -> None:

@@ -126,7 +126,7 @@ def test_progress(run: RunFolder) -> None:
 
 
 def resume(run: RunFolder) -> None:
-    RunLog(run, resume_at=10)
+    RunLog(run.progress_path, run.tensorboard_path, resume_at=10)
 
 
 @pytest.mark.parametrize("use", [RunFolder.progress, resume])
@@ -152,13 +152,13 @@ def test_progress_that_is_none(
 
 
 def test_a_resumed_log_forgets_what_came_after_the_checkpoint(run: RunFolder) -> None:
-    log = RunLog(run)
+    log = RunLog(run.progress_path, run.tensorboard_path)
     for step in (10, 20, 30):
         log.write({"step": step, "return": step / 3, "seconds": 1.0})
     log.close()
     with run.progress_path.open("a") as file:
         file.write("40,1,2")  # a row that a kill cut short
-    RunLog(run, resume_at=20).close()
+    RunLog(run.progress_path, run.tensorboard_path, resume_at=20).close()
     with run.progress_path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["step"], row["return"]) for row in rows] == [("10", "3.33333"), ("20", "6.66667")]

@@ -6,8 +6,6 @@ import ast
 from collections.abc import Mapping
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("dexctl", "learning", "hardware")
 # a scene finds its own settled grasp, and the search for it needs nothing but the scene
@@ -51,12 +49,7 @@ def circles(graph: Mapping[str, set[str]]) -> list[set[str]]:
     return found
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_there_are_no_circles_inside_a_package(package: str) -> None:
-    assert [one for one in circles(imports(ROOT, (package,))) if one not in ONE_MATTER] == []
-
-
-def test_there_are_none_between_packages() -> None:
+def test_there_are_no_circles() -> None:
     assert [one for one in circles(imports(ROOT, PACKAGES)) if one not in ONE_MATTER] == []
 
 

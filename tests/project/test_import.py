@@ -28,16 +28,22 @@ def loaded(code: str) -> list[str]:
     return json.loads(python(f"{code}; {report}"))
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
-        "import dexctl",
-        "import dexctl; dexctl.grasp.stability_forces; dexctl.GraspState",
-        "import dexctl; dexctl.InGraspManipulation; dexctl.ContactSwitch; dexctl.FingerGaiting",
-    ],
-)
-def test_heavy_engines_wait_for_their_first_use(code: str) -> None:
-    assert loaded(code) == []
+def test_heavy_engines_wait_for_their_first_use() -> None:
+    assert loaded("import dexctl") == []
+    rooms = "dexctl.grasp.stability_forces; dexctl.GraspState; dexctl.InGraspManipulation"
+    assert loaded(f"import dexctl; {rooms}; dexctl.ContactSwitch; dexctl.FingerGaiting") == []
+
+
+def test_configurations_load_no_engine() -> None:
+    configs = "dexctl.sim.scene_config, dexctl.sim.sensing, dexctl.sim.pushes, dexctl.limits"
+    learners = "learning.config, learning.algorithms.config, learning.envs.config"
+    assert loaded(f"import learning, {configs}, {learners}") == ["tyro"]
+
+
+def test_what_runs_a_policy_needs_no_torch() -> None:
+    hidden = "import sys; sys.modules.update(dict.fromkeys(['torch', 'stable_baselines3']))"
+    modules = "learning.policies, learning.envs.vector, learning.evaluation.rollout"
+    python(f"{hidden}; import {modules}; import learning; learning.load_policy('dex5-cylinder')")
 
 
 def test_costs_at_most_a_third_more_than_what_it_stands_on() -> None:

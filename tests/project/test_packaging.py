@@ -6,7 +6,6 @@ import re
 import tomllib
 from pathlib import Path
 
-import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,10 +24,13 @@ def pins() -> dict[str, str]:
     return dict(line.split("==") for line in lines if line and not line.startswith("#"))
 
 
-@pytest.mark.parametrize("requirement", REQUIREMENTS, ids=str)
-def test_constraints_pin_every_requirement(requirement: Requirement) -> None:
-    version = pins()[requirement.name.lower()]
-    assert requirement.specifier.contains(version)
+def test_constraints_pin_every_requirement() -> None:
+    pinned = pins()
+    assert [
+        str(requirement)
+        for requirement in REQUIREMENTS
+        if not requirement.specifier.contains(pinned.get(requirement.name.lower(), "0"))
+    ] == []
 
 
 def test_torch_is_pinned() -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,16 +13,10 @@ from dexctl.hand import HandModel, random_configurations
 from dexctl.switch.chain import own_joints
 from dexctl.switch.finger_ik import FingerIK
 
-MENAGERIE = Path(os.environ.get("DEXCTL_MENAGERIE", Path(__file__).parents[3] / "shared" / "hands"))
 
-
-@pytest.fixture(scope="module", params=["dex5", "wonik_allegro"])
+@pytest.fixture(scope="module", params=["dex5", "four_fingers"])
 def ik(request) -> FingerIK:
-    if request.param == "wonik_allegro":
-        if not (MENAGERIE / "wonik_allegro").is_dir():
-            pytest.skip(f"no Allegro hand in {MENAGERIE}")
-        return FingerIK(dexctl.hands.load("wonik_allegro", folder=MENAGERIE))
-    return FingerIK(dexctl.hands.load("dex5"))
+    return FingerIK(request.getfixturevalue(request.param))
 
 
 def test_reachable_targets_are_reached_within_limits(ik: FingerIK):
@@ -48,7 +40,8 @@ def test_unreachable_target_tells_the_distance(ik: FingerIK):
     """The far point lies straight beyond the fingertip of the stretched finger."""
     hand = ik.hand
     q = np.clip(np.zeros(hand.nq), hand.lower, hand.upper)
-    away = hand.fingertip_positions(q)[0] + [0.0, 0.0, 1.0]
+    along = [0.0, 0.0, 1.0] if hand.n_fingers == 5 else [1.0, 0.0, 0.0]
+    away = hand.fingertip_positions(q)[0] + along
     result = ik.solve(q, 0, away)
     assert not result.converged
     reached = hand.fingertip_positions(result.q)[0]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,16 +17,9 @@ from dexctl.switch.chain import own_joints
 from dexctl.switch.planner import SwingPlan, SwingPlanner
 from dexctl.switch.swing_problem import SwingProblem, SwingShape
 
-MENAGERIE = Path(os.environ.get("DEXCTL_MENAGERIE", Path(__file__).parents[3] / "shared" / "hands"))
 DEX5 = dexctl.hands.load("dex5")
 PLANNER = SwingPlanner(DEX5)
 OBJECT, TIP = 0.05, 0.014  # radii of a cylinder on the z axis, and of dex5's fingertips [m]
-
-
-def allegro() -> HandModel:
-    if not (MENAGERIE / "wonik_allegro").is_dir():
-        pytest.skip(f"no Allegro hand in {MENAGERIE}")
-    return dexctl.hands.load("wonik_allegro", folder=MENAGERIE)
 
 
 def radial(angle: float) -> np.ndarray:
@@ -113,9 +104,9 @@ def test_closed_form_start_touches_the_cylinder():
         np.testing.assert_allclose(tip, expected, atol=1e-8)
 
 
-@pytest.mark.parametrize("hand", ["dex5", "wonik_allegro"])
-def test_product_of_exponentials_is_the_hand_models_kinematics(hand):
-    hand = DEX5 if hand == "dex5" else allegro()
+@pytest.mark.parametrize("name", ["dex5", "four_fingers"])
+def test_product_of_exponentials_is_the_hand_models_kinematics(name, request):
+    hand = request.getfixturevalue(name)
     shape = SwingShape(knots=8, clearance=0.01, pretouch=0.002, lateral=0.003, time_weight=1.0)
     for finger in range(hand.n_fingers):
         joints = own_joints(hand, finger)
@@ -144,12 +135,12 @@ def test_swings_on_a_cylinder_keep_every_rule(finger, angles, heights):
     check(plan, DEX5, touching(finger, *start), PLANNER, **surface)
 
 
-def test_swings_of_allegro_keep_every_rule():
-    hand, feasible = allegro(), 0
+def test_swings_of_four_fingers_keep_every_rule(four_fingers):
+    hand, feasible = four_fingers, 0
     planner = SwingPlanner(hand)
     rng = np.random.default_rng(0)
     middle, reach = (hand.lower + hand.upper) / 2, 0.2 * (hand.upper - hand.lower)
-    centre = np.array([0.06, 0.0, 0.08])  # normals point here
+    centre = np.array([0.015, -0.018, 0.09])  # normals point here
     for trial in range(16):
         finger = trial % 4
         q = middle + reach * rng.uniform(-1, 1, 16)
@@ -166,7 +157,7 @@ def test_swings_of_allegro_keep_every_rule():
         feasible += plan.feasible
         if plan.feasible:
             check(plan, hand, q, planner, **surface)
-    assert feasible >= 14
+    assert feasible >= 12  # the others say which rule they cannot keep
 
 
 def test_round_the_corner_of_two_faces():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from dexctl.switch.chain import joint_roles, own_joints
 from dexctl.switch.profile import SwitchProfile
 
 HAND = dexctl.hands.load("dex5")
-MENAGERIE = Path(os.environ.get("DEXCTL_MENAGERIE", Path(__file__).parents[3] / "shared" / "hands"))
 RADIUS = 0.014
 
 
@@ -300,11 +298,8 @@ def test_a_finger_with_two_joints_is_an_error(tmp_path):
         SwitchProfile(hand)
 
 
-def test_roles_of_allegro():
-    if not (MENAGERIE / "wonik_allegro").is_dir():
-        pytest.skip(f"no Allegro hand in {MENAGERIE}")
-    hand = dexctl.hands.load("wonik_allegro", folder=MENAGERIE)
-    roles = joint_roles(hand)
+def test_roles_of_four_joints(four_fingers):
+    hand, roles = four_fingers, joint_roles(four_fingers)
     assert [hand.joint_names[j] for j in roles.roll] == ["ffj0", "mfj0", "rfj0", "thj0"]
     assert [hand.joint_names[j] for j in roles.middle] == ["ffj2", "mfj2", "rfj2", "thj2"]
     assert [hand.joint_names[j] for j in roles.distal] == ["ffj3", "mfj3", "rfj3", "thj3"]

@@ -37,6 +37,7 @@ def drops_section(found: Inspection) -> str:
             )
         )
     rule = found.rule
+    distance = evaluation.protocol.task.drop_distance
     return html.section(
         "Where and why drops begin",
         html.table(
@@ -47,15 +48,16 @@ def drops_section(found: Inspection) -> str:
             rows,
         ),
         html.paragraph(
-            "From each drop (centre more than 0.05 m from its start) back to the end of the last "
-            f"sound spell of at least {rule.spell:g} s, the onset. What failed first after it is "
-            "the cause, the first of these that holds: something other than a fingertip touched; "
-            f"tilt above {rule.tilt:g} rad; a finger let go, with a joint's set-point at the end "
-            f"of its range, or its set-point taken back by {1e3 * rule.retreat:g} mm or more "
-            f"in the {rule.window:g} s before (lifted), or after sliding by {1e3 * rule.slip:g} mm "
-            "or more (slipped), or neither (the object went away from it); no closure with all "
-            "fingers in touch. An object that leaves in a sound grasp was carried off. A long time "
-            "from onset to drop says that the object was held somehow, but not soundly, in "
+            f"From each drop (centre more than {distance:g} m from its start) back to the end of "
+            f"the last sound spell of at least {rule.spell:g} s, the onset. What failed first "
+            "after it is the cause, the first of these that holds: something other than a "
+            f"fingertip touched; tilt above {rule.tilt:g} rad; a finger let go, with a joint's "
+            "set-point at the end of its range, or its set-point taken back by "
+            f"{1e3 * rule.retreat:g} mm or more in the {rule.window:g} s before (lifted), or after "
+            f"sliding by {1e3 * rule.slip:g} mm or more (slipped), or neither (the object went "
+            "away from it); no closure with all fingers in touch. An object that leaves in a sound "
+            "grasp was carried off. A long time from onset to drop says that the object was held "
+            "somehow, but not soundly, in "
             "between. Too few contacts and no closure: how many drops had fewer than "
             f"{rule.fingertips} fingertips, or no force closure, right after the onset.",
             "note",

@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 
 from dexctl.report import figures, html
-from dexctl.report.conditions import conditions
+from dexctl.report.conditions import conditions, units
 from dexctl.report.style import drawing, title_of
+from dexctl.report.words import interval, number, percent, spread
+from dexctl.settings import to_plain
+from learning.envs.turning import TurningConfig
 from learning.inspection.findings import MARGIN_EVERY, MARGIN_SHOWN, Inspection
 from learning.inspection.grasps import MARGIN_EDGES
 from learning.inspection.onset import DropRule
@@ -17,28 +20,24 @@ from learning.inspection.report import plots, training_plots
 from learning.inspection.report.drops import drops_section
 from learning.inspection.report.story import story
 from learning.inspection.report.timeline import gait_figure, timeline_figure
-from learning.inspection.report.words import degrees, interval, number, percent, spread
 from learning.inspection.rollout import MOTION
 
 GAIT_WINDOW = 12.0
 """How much of the typical episode is drawn large [s]."""
 
 
-def build(
-    found: Inspection, *, setting: Mapping[str, Any], command: str, machine: Mapping[str, Any]
-) -> str:
+def build(found: Inspection, *, command: str, machine: Mapping[str, Any]) -> str:
     """The report as one HTML document.
 
     Args:
         found: what was inspected.
-        setting: see `dexctl.report.conditions`.
         command: what was typed.
         machine: see `dexctl.report.machine`.
     """
-    subject, protocol = found.subject, found.rollouts.evaluation.protocol
+    protocol = found.rollouts.evaluation.protocol
     with drawing():
         sections = [
-            *(html.paragraph(remark, "note") for remark in subject.remarks),
+            *(html.paragraph(remark, "note") for remark in found.remarks),
             _overview(found),
             _typical(found),
             _turns(found),
@@ -47,22 +46,40 @@ def build(
             _critic(found),
             drops_section(found),
             *([_training(found)] if found.training is not None and len(found.training) else []),
-            conditions(setting, found.period, command, machine),
+            conditions(
+                protocol.scene,
+                command=command,
+                machine=machine,
+                seed=protocol.seed,
+                scene=found.rollouts.scene,
+                axis=protocol.task.axis,
+                more=_task(protocol.task),
+            ),
         ]
-    title = f"{_who(found)}: {setting['hand']} turns a {setting['object']}"
+    title = f"{_who(found)}: {protocol.scene.hand} turns a {found.rollouts.scene.object}"
     subtitle = (
         f"{len(found.rollouts.evaluation.rotation)} episodes of {protocol.seconds:g} s, "
-        f"{setting['palm']}, seeds {protocol.seed} to {protocol.seed + protocol.episodes - 1}"
+        f"{protocol.scene.palm}, seeds {protocol.seed} to {protocol.seed + protocol.episodes - 1}"
     )
     return html.page(f"{title[0].upper()}{title[1:]}", subtitle, sections)
+
+
+def _task(task: TurningConfig) -> list[tuple[str, str]]:
+    """The settings of the task that are not as usual, but for the axis."""
+    usual, found = to_plain(TurningConfig()), []
+    for name, value in to_plain(task).items():
+        if name != "axis" and value != usual[name]:
+            unit = units(TurningConfig).get(name, "")
+            found.append((name.replace("_", " "), f"{value:g} {unit}".strip()))
+    return found
 
 
 def _who(found: Inspection) -> str:
     subject = found.subject
     if subject.kind == "controller":
         return title_of(subject.name)
-    method = subject.trained.get("guidance", {}).get("method")
-    return f"policy ({method})" if method else "policy"
+    trained = subject.trained
+    return "policy" if trained is None else f"policy ({trained.guidance.method})"
 
 
 def _overview(found: Inspection) -> str:
@@ -75,9 +92,10 @@ def _overview(found: Inspection) -> str:
         ("dropped", interval(figure["share_dropped"], "%", 0, 100.0)),
         ("return", interval(figure["return_mean"], "rad/s", 1)),
         ("sound grasp", f"{percent(found.grip()['sound_share'])} of the time held"),
+        ("sinks by", interval(figure["drift_median_m"], "mm", 1, 1e3)),
     ]
     if found.subject.kind != "controller":
-        card = getattr(found.subject.controller, "card", {})
+        card = found.subject.card or {}
         rows += [("trained for", f"{card['steps']:,} steps")] if "steps" in card else []
         rows += [("guided by", ", ".join(map(title_of, found.subject.guides)) or "nobody")]
     return html.section(
@@ -172,14 +190,15 @@ def _turns(found: Inspection) -> str:
 
 def _grasp(found: Inspection) -> str:
     grip, rule = found.grip(), found.rule
+    alone = found.rollouts.evaluation.figures()["share_fingertips_only"]
     friction = found.grasps.friction
     rows = [
         ("sound grasp", percent(grip["sound_share"])),
         ("force closure", percent(grip["closure_share"])),
-        ("nothing but fingertips touches", percent(grip["fingertips_only_share"])),
-        ("residual", spread(grip["residual"], 3)),
-        ("force-closure margin", spread(grip["margin"], 2)),
-        ("tilt", spread(grip["tilt_rad"], 2, "rad")),
+        ("nothing but fingertips touches", percent(alone.value)),
+        ("residual", spread(grip["residual"], "", 3)),
+        ("force-closure margin", spread(grip["margin"], "", 2)),
+        ("tilt", spread(grip["tilt_rad"], "rad", 2)),
     ]
     return html.section(
         "How sound the grasp is",
@@ -222,7 +241,7 @@ def _angles(found: Inspection) -> str:
         rows.append(
             (
                 title_of(name),
-                *(spread(degrees(one[which]), 0, "°") for which in ("all", "on", "off", "motion")),
+                *(spread(_degrees(one[which]), "°", 0) for which in ("all", "on", "off", "motion")),
                 "-" if ratio is None else f"{ratio:.2f}",
                 percent(one["all"]["undefined_share"]),
             )
@@ -255,6 +274,11 @@ def _angles(found: Inspection) -> str:
     )  # fmt: skip
 
 
+def _degrees(found: Mapping[str, Any]) -> dict[str, Any]:
+    """Percentiles in degrees by their plain names."""
+    return {name: found[f"{name}_deg"] for name in ("median", "p10", "p90")}
+
+
 def _critic(found: Inspection) -> str:
     told = found.critic()
     if told is None:
@@ -268,8 +292,8 @@ def _critic(found: Inspection) -> str:
     rows = [
         (
             title_of(name),
-            spread(one["value"], 2),
-            spread(one["p"], 2),
+            spread(one["value"]),
+            spread(one["p"]),
             percent(one["best_share"]),
         )
         for name, one in told["candidates"].items()
@@ -278,7 +302,7 @@ def _critic(found: Inspection) -> str:
         "What the critic thinks",
         html.paragraph(
             f"The critic of the checkpoint at {told['checkpoint_steps']:,} steps, asked along the "
-            f"rollouts. Any controller would act with p_psi = {spread(told['p_psi'], 2)}."
+            f"rollouts. Any controller would act with p_psi = {spread(told['p_psi'])}."
         ),
         html.table(("action of", "value Q(s, a)", "probability", "best of all"), rows),
         html.paragraph(

@@ -130,8 +130,12 @@ def _drift(axes: Axes, found: Inspection, episode: int) -> None:
     trace = found.rollouts.trace
     held = trace.held[:, episode]
     away = 1e3 * (trace.object_position[held, episode] - trace.object_position[0, episode])
-    axes.plot(trace.time[held], away[:, 2], color=INK, lw=1.1, label="up")
-    aside = np.hypot(away[:, 0], away[:, 1])
+    gravity = found.rollouts.scene.gravity
+    size = float(np.linalg.norm(gravity))
+    upwards = -gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])
+    up = away @ upwards
+    aside = np.linalg.norm(away - up[:, None] * upwards, axis=1)
+    axes.plot(trace.time[held], up, color=INK, lw=1.1, label="up")
     axes.plot(trace.time[held], aside, color=FAINT, lw=1.1, label="aside")
     axes.set(ylabel="drift [mm]")
     axes.set_title("How far the object is from its start, and its tilt (blue)")

@@ -39,17 +39,17 @@ def acting_figure(log: TrainingLog) -> Figure:
         _say(top, "no controllers guided this run")
     top.set(ylabel="share of the steps", ylim=(0, 1))
     if log.has("p_psi"):
-        for name in log.guides:
+        for name in log.config.guides:
             if log.has(f"p_{name}"):
                 bottom.plot(steps, log.columns[f"p_{name}"], label=title_of(name),
                             **controller_line(name))  # fmt: skip
-        if len(log.guides) > 1:
+        if len(log.config.guides) > 1:
             bottom.plot(steps, log.columns["p_psi"], color=INK, lw=1.0, label="any of them")
         bottom.legend(loc="best")
     else:
         _say(bottom, "p_psi is not in this run's log")
     stop = log.config.guidance.hard_stop / _unit(log)[0]
-    if log.guides and stop <= steps[-1]:
+    if log.config.guides and stop <= steps[-1]:
         for axes in (top, bottom):
             axes.axvline(stop, color=INK, lw=1.0, ls=(0, (4, 2)))
         bottom.annotate(" hard stop", (stop, 0.98), va="top", fontsize=8)

@@ -12,7 +12,6 @@ import time
 import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,11 +22,9 @@ import learning
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 from dexctl.settings import from_plain
-from dexctl.sim import GraspStates
 from learning.cli.train import Train
 from learning.config import TrainConfig, recipe
-from learning.envs import EnvConfig
-from learning.training.log import RunLog, Tally, columns, who_acted
+from learning.training.log import Tally, columns, who_acted
 from learning.training.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[3]

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import MethodType
 from typing import Any
 
 import numpy as np

@@ -14,23 +14,32 @@ import numpy as np
 import pytest
 
 pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
 pytest.importorskip("matplotlib")
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import DexctlError
-from learning.agents.state import restore
-from learning.cli_inspect import Inspect
-from learning.envs import EnvConfig, Observation
-from learning.evaluate import Protocol
-from learning.exploration import GuidanceConfig
-from learning.inspection import open_subject, roll_out
+from dexctl.settings import changed
+from learning import policies
+from learning.cli.inspect import Inspect
+from learning.config import TrainConfig
+from learning.envs import Observation
+from learning.evaluation import Protocol, evaluate, open_subject
+from learning.exploration.mixture import value_probabilities
+from learning.inspection import roll_out
+from learning.inspection.critic import Critic, open_critic
 from learning.inspection.rollout import states_of
 from learning.inspection.training import read_training
 from learning.policies import Policy
-from learning.settings import TrainConfig
-from learning.train import build, train
-from learning.training import checkpoint
+from learning.training.build import build_algorithm, build_env
+from learning.training.run_folder import RunFolder
+from learning.training.trainer import train
+
+SMALL = {
+    "object": "cylinder", "threads": 1, "steps": 240, "num_envs": 4, "log_every": 80,
+    "device": "cpu", "sac.network": (16, 16), "sac.batch_size": 16, "sac.learning_starts": 40,
+    "sac.buffer_size": 240,
+}  # fmt: skip
+SHORT = changed(Protocol(), {"episodes": 2, "threads": 1, "object": "cylinder"})
 
 SECTIONS = (
     "What it does", "A typical episode", "How the fingers take turns", "How sound the grasp is",
@@ -43,19 +52,7 @@ SECTIONS = (
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A real training run, as short as one can be; its policy drops the object at once."""
     folder = tmp_path_factory.mktemp("inspect") / "run"
-    config = TrainConfig(
-        env=EnvConfig(object="cylinder", threads=1),
-        guidance=GuidanceConfig(method="vge"),
-        controllers=("igm", "gait"),
-        steps=240,
-        num_envs=4,
-        network=(16, 16),
-        batch_size=16,
-        learning_starts=40,
-        buffer_size=240,
-        log_every=80,
-        device="cpu",
-    )
+    config = changed(TrainConfig(), SMALL | {"method": "vge", "controllers": ("igm", "gait")})
     train(config, folder)
     return folder
 
@@ -75,7 +72,7 @@ def check_page(page: str) -> list[str]:
 
 
 def test_it_is_found_by_name() -> None:
-    text = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8")
     points = tomllib.loads(text)["project"]["entry-points"]["dexctl.commands"]
     assert EntryPoint("inspect", points["inspect"], "dexctl.commands").load() is Inspect
 
@@ -90,6 +87,8 @@ def test_a_run(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert check_page(page) == list(SECTIONS)
     assert "in-grasp manipulation" in page and "p_psi" in page
     assert found["kind"] == "run" and found["object"] == "cylinder"
+    assert found["protocol"]["scene"]["object"] == ["cylinder"]
+    assert found["protocol"]["seconds"] == 2.0
     assert found["angles"].keys() == {"igm", "gait"}  # those that guided it
     assert 0.0 < found["angles"]["igm"]["all"]["median_deg"] < 180.0
     candidates = found["critic"]["candidates"]
@@ -106,36 +105,31 @@ def test_a_run(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_p_psi_is_what_training_would_find(run_folder: Path) -> None:
-    """The agent of the whole run, restored, against the critic of the inspection."""
-    from dataclasses import replace
-
-    from learning.exploration.mixture import value_probabilities
-    from learning.train import build
-
+    """The algorithm of the whole run, restored, against the critic of the inspection."""
     subject = open_subject(str(run_folder))
-    found = roll_out(subject, "cylinder", Protocol(episodes=2, seconds=0.2, threads=1))
+    critic, remark = open_critic(subject)
+    assert critic is not None and remark is None
+    found = roll_out(subject, changed(SHORT, {"seconds": 0.2}), critic=critic)
     assert found.valued is not None
     assert found.valued.chances.shape == (4, 2, 3)
-    config = read_training(run_folder).config
-    agent = build(replace(config, device="cpu"))
-    try:
-        restore(agent, checkpoint.read(run_folder / "checkpoint.bin"))
-        row, episode = 3, 1
-        state = _state(found.trace, row, episode)
-        policy = subject.controller
-        observation = policy.observation(state)  # type: ignore[attr-defined]
-        agent._last_obs = observation[None]
-        proposed = [policy.predict(observation)]  # type: ignore[attr-defined]
-        proposed += [
-            policy.action.from_change(found.shadows[name][row, episode])  # type: ignore[attr-defined]
-            for name in ("igm", "gait")
-        ]
-        values = agent._values(np.array([0]), np.array(proposed, np.float32)[:, None])
-        expected = value_probabilities(values[:, 0])
-        assert found.valued.chances[row, episode] == pytest.approx(expected, abs=1e-5)
-    finally:
-        assert agent.env is not None
-        agent.env.close()
+    config, saved = RunFolder(run_folder).config(), RunFolder(run_folder).read_checkpoint()
+    assert saved is not None
+    env = build_env(config)
+    env.close()
+    algorithm: Any = build_algorithm(config, env)
+    algorithm.load_state_dict(saved["algorithm"])
+    row, episode = 3, 1
+    state = _state(found.trace, row, episode)
+    policy = subject.controller
+    assert isinstance(policy, Policy)
+    observation = policy.observation(state)
+    proposed = [policy.predict(observation)]
+    proposed += [
+        policy.action.from_change(found.shadows[name][row, episode]) for name in ("igm", "gait")
+    ]
+    values = algorithm.values(observation[None], np.array(proposed, np.float32)[:, None])
+    expected = value_probabilities(values[:, 0])
+    assert found.valued.chances[row, episode] == pytest.approx(expected, abs=1e-5)
 
 
 def _state(trace: Any, row: int, episode: int) -> Any:
@@ -187,15 +181,26 @@ def test_a_controller_in_the_policys_place(tmp_path: Path) -> None:
 
 
 def test_shadows_change_nothing(run_folder: Path) -> None:
-    """What is inspected does, to the bit, what it does in the evaluation."""
-    from learning.evaluate import evaluate
+    """What is inspected does, to the bit, what it does in the evaluation, noise and all."""
+    disturbed = {
+        "seconds": 1.0, "axis": "-x", "object_size": 0.08, "object_mass": 0.2, "push_force": 0.5,
+        "joint_noise": 0.02, "sensor_latency": 0.05, "speed_limit": 0.6, "max_reward": 0.1,
+    }  # fmt: skip
+    for name in (str(run_folder / "policy.npz"), "igm"):
+        subject, protocol = open_subject(name), changed(SHORT, disturbed)
+        found = roll_out(subject, protocol, ("igm", "gait")).evaluation
+        alone = evaluate(subject, protocol)
+        for figure in ("rotation", "time_held", "dropped", "returns", "drift"):
+            assert (getattr(found, figure) == getattr(alone, figure)).all()
 
-    protocol = Protocol(episodes=2, seconds=1.0, threads=1)
-    subject = open_subject(str(run_folder / "policy.npz"))
-    found = roll_out(subject, "cylinder", protocol).evaluation
-    alone = evaluate(subject.controller, "cylinder", protocol)
-    for name in ("rotation", "time_held", "dropped", "returns"):
-        assert (getattr(found, name) == getattr(alone, name)).all()
+
+def test_shadows_turn_about_the_axis_of_the_protocol() -> None:
+    """The same controller in shadow does what the one that acts does."""
+    protocol = changed(SHORT, {"seconds": 0.5, "axis": "x"})
+    found = roll_out(open_subject("igm"), protocol, ("igm",))
+    np.testing.assert_array_equal(found.shadows["igm"], found.action)
+    about_z = roll_out(open_subject("igm"), changed(protocol, {"axis": "z"}), ("igm",))
+    assert not np.allclose(about_z.action, found.action)
 
 
 def test_bad_input(run_folder: Path, tmp_path: Path) -> None:
@@ -212,82 +217,74 @@ def test_bad_input(run_folder: Path, tmp_path: Path) -> None:
     policy = policies.load(run_folder / "policy.npz")
     spec = policy.spec._replace(fingertip_names=("thumb",))
     policies.save(other, policy.layers, spec)
-    import torch
-
-    torch.save({"format": 1}, old / "checkpoint.bin")
+    RunFolder(old).checkpoint_path.write_bytes(b"no checkpoint")
     cases = [
-        ((str(tmp_path / "none"),), "is not there, and no controller; expected a run folder"),
-        (("coordinate",), r"or one of igm, switch, gait, coordinated, hold\b"),
+        ((), "expected a run folder, a policy, or the name of a controller"),
+        (("coordinate",), "unknown controller 'coordinate'; known: igm, .*, a run folder"),
         ((str(broken),), "is not a policy file"),
         ((str(tmp_path / "none.npz"),), "no such file"),
-        ((str(empty),), "is no run folder: there is no config.json in it"),
-        ((str(early),), "has no policy.npz yet"),
-        ((str(old),), "is of an earlier version, which this one cannot read"),
+        ((str(empty),), "is no run folder: it has no config.json"),
+        ((str(early),), "there is no policy.npz in it"),
+        ((str(old),), "checkpoint.bin: it is no checkpoint"),
         ((str(run_folder), "--controller", "igm", "walk"), "unknown controller 'walk'; known: igm"),
+        ((str(run_folder), "--object", "cube", "sphere"), "object is cube, sphere; expected one"),
         ((str(run_folder), "--object", "teapot"), "unknown object 'teapot'; known: .*cylinder"),
         ((str(other),), r"the policy is for the hand 'dex5' \(15 joints, 1 fingers\); got 'dex5'"),
         ((str(run_folder), "--hand", "paw"), "unknown hand 'paw'"),
-        ((str(run_folder), "--episodes", "0"), "--episodes is 0"),
-        ((str(run_folder), "--seconds", "nan"), "--seconds is nan"),
-        ((str(run_folder), "--seed", "-1"), "--seed is -1"),
+        ((str(run_folder), "--episodes", "0"), "episodes is 0"),
+        ((str(run_folder), "--seconds", "nan"), "seconds is nan"),
+        ((str(run_folder), "--seed", "-1"), "seed is -1"),
     ]
     out = tmp_path / "out"
     for arguments, said in cases:
         with pytest.raises(DexctlError, match=said) as caught:
             run(*arguments, "--out", str(out))
         assert "\n" not in str(caught.value)
-    assert not out.exists()
 
 
 def test_critics_that_see_more_than_the_policy(tmp_path: Path) -> None:
     """p_psi against the run's own networks: the kept policy's actions, the critics' observation."""
-    import torch
-
-    config = TrainConfig(
-        env=EnvConfig(object="cylinder", threads=1, parts=("q", "touch"), scaled=True),
-        controllers=("igm",), steps=240, num_envs=4, network=(16, 16), batch_size=16,
-        learning_starts=40, buffer_size=240, device="cpu", critic_parts=("object_position",),
-        layer_norm=True, n_step=3, policy_average=0.9, learning_rate=1e-2,
-    )  # fmt: skip
+    more = {
+        "parts": ("q", "touch"), "scaled": True, "critic_parts": ("object_position",),
+        "controllers": ("igm",), "sac.layer_norm": True, "sac.n_step": 3,
+        "sac.policy_average": 0.9, "sac.learning_rate": 1e-2,
+    }  # fmt: skip
+    config = changed(TrainConfig(), SMALL | more)
     train(config, tmp_path / "run")
     subject = open_subject(str(tmp_path / "run"))
-    found = roll_out(subject, "cylinder", Protocol(episodes=2, seconds=0.5))
-    assert found.valued is not None
-    agent = build(config)
-    agent.policy.load_state_dict(checkpoint.read(tmp_path / "run" / "checkpoint.bin")["policy"])
-    assert isinstance(subject.controller, Policy)
-    states = states_of(found.trace)
-    own = subject.controller.observation
-    more = Observation.from_dict(
+    critic = Critic(RunFolder(tmp_path / "run"))
+    found = roll_out(subject, changed(SHORT, {"seconds": 0.5}), critic=critic)
+    assert found.valued is not None and isinstance(subject.controller, Policy)
+    states, own = states_of(found.trace), subject.controller.observation
+    other = Observation.from_dict(
         subject.controller.hand, {**own.to_dict(), "parts": ["object_position"]}
     )
-    seen = np.concatenate([own(states), more(states)], axis=-1)
-    kept = subject.controller.predict(own(states))
-    with torch.no_grad():
-        obs = torch.as_tensor(seen.reshape(-1, 23), dtype=torch.float32)
-        action = torch.as_tensor(kept.reshape(-1, 15), dtype=torch.float32)
-        least = torch.cat(agent.critic(obs, action), dim=1).min(dim=1).values.numpy()
-        last = agent.actor(obs, deterministic=True).numpy()
-    assert found.valued.values[..., 0].ravel() == pytest.approx(least, abs=1e-5)
-    assert np.abs(last - action.numpy()).max() > 1e-3  # the mean of actors, not the last one
-    agent.env.close()  # type: ignore[union-attr]
+    seen = np.concatenate([own(states), other(states)], axis=-1)
+    kept = subject.controller.predict(own(states)).astype(np.float32)
+    saved = RunFolder(tmp_path / "run").read_checkpoint()
+    assert saved is not None
+    env = build_env(config)
+    env.close()
+    algorithm: Any = build_algorithm(config, env)
+    algorithm.load_state_dict(saved["algorithm"])
+    least = algorithm.values(seen, kept[None])[0]
+    assert found.valued.values[..., 0].ravel() == pytest.approx(least, abs=1e-4)
+    assert found.trace.diagnostics["action"].reshape(-1, 15) == pytest.approx(kept, abs=1e-5)
 
 
-def test_a_run_without_checkpoint_or_with_an_old_log(run_folder: Path, tmp_path: Path) -> None:
+def test_a_run_without_checkpoint_and_a_log_cut_short(run_folder: Path, tmp_path: Path) -> None:
     old = tmp_path / "old"
     shutil.copytree(run_folder, old)
-    (old / "checkpoint.bin").unlink()
-    lines = (old / "progress.csv").read_text().splitlines()
-    names = lines[0].split(",")
-    kept = [i for i, name in enumerate(names) if not name.startswith(("p_", "share_"))]
-    rows = [",".join(line.split(",")[i] for i in kept) for line in lines]
-    (old / "progress.csv").write_text("\n".join(rows) + "\n7,1")  # cut short by a kill
-    log = read_training(old)
-    assert len(log) == 3 and list(log.shares()) == ["controllers"]
+    folder = RunFolder(old)
+    folder.checkpoint_path.unlink()
+    with folder.progress_path.open("a") as log:
+        log.write("7,1")  # cut short by a kill
+    log = read_training(folder)
+    assert len(log) == 3 and list(log.shares()) == ["igm", "gait"]
     out = tmp_path / "out"
     assert run(str(old), "--episodes", "1", "--seconds", "0.5", "--out", str(out)) == 0
     page = (out / "report.html").read_text()
-    assert "no checkpoint.bin" in page and "Over training" in check_page(page)
-    (old / "progress.csv").write_text("step,seconds\nx,1\n")
+    assert "so there is no critic" in page and "Over training" in check_page(page)
+    folder.progress_path.write_text("step,seconds\nx,1\n")
     with pytest.raises(DexctlError, match=r"progress\.csv is not a training log"):
-        read_training(old)
+        read_training(folder)

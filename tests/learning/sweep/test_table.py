@@ -14,16 +14,16 @@ import pytest
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput
-from learning.cli_sweep import Sweep
-from learning.cli_sweep_display import line
-from learning.cli_sweep_figure import draw
-from learning.sweep.config import Cell, SweepConfig
+from learning.cli.sweep import Sweep
+from learning.cli.sweep_display import Progress, line, of_rows
+from learning.cli.sweep_figure import draw
+from learning.sweep.config import Cell
 from learning.sweep.curves import Log, over_seeds, read_log
 from learning.sweep.jobs import outcome, write_failure, write_result
+from learning.sweep.reading import parse_sweep
 from learning.sweep.results import collect, write_csv
 from learning.sweep.run import prepare
 from learning.sweep.table import caption, markdown_table
-from learning.sweep.watch import Progress, of_rows
 from learning.training.log import COLUMNS
 
 GIVEN: dict[str, Any] = {
@@ -74,7 +74,7 @@ def half_done(tmp_path: Path) -> Path:
     """VGE with gait: four seeds; with igm: one failed, one at work; RL: one of four."""
     out = tmp_path / "out"
     out.mkdir()
-    prepare(SweepConfig.parse(GIVEN), out)
+    prepare(parse_sweep(GIVEN), out)
     for seed, values in enumerate([(1.0, 10, 1.0), (2.0, 20, 0.5), (3.0, 30, 0.0), (9.0, 80, 0.5)]):
         finish(out / "runs" / f"vge-gait-{seed}", *values)
     write_failure(out / "runs" / "vge-igm-0", "training diverged:\nnot finite")
@@ -85,7 +85,7 @@ def half_done(tmp_path: Path) -> Path:
 
 
 def test_statistics_by_hand(half_done: Path) -> None:
-    found = collect(SweepConfig.parse(GIVEN), half_done)
+    found = collect(parse_sweep(GIVEN), half_done)
     rl, gait, igm = found["cells"]
     # 3 of 4: Wilson 0.3006 to 0.9544
     assert gait["learned"] == pytest.approx(
@@ -113,7 +113,7 @@ def test_statistics_by_hand(half_done: Path) -> None:
 
 def test_the_guide_as_measure(half_done: Path) -> None:
     """igm itself turns 1.5 rad, gait has not been evaluated."""
-    config = SweepConfig.parse({**GIVEN, "criterion": {"rotation": "guide"}})
+    config = parse_sweep({**GIVEN, "criterion": {"rotation": "guide"}})
     rl, gait, igm = collect(config, half_done)["cells"]
     assert (gait["learned_at_rad"], gait["learned"]) == (None, None)
     assert (rl["learned_at_rad"], igm["learned_at_rad"]) == (None, 1.5)
@@ -125,7 +125,7 @@ def test_the_guide_as_measure(half_done: Path) -> None:
 
 
 def test_the_table_by_hand(half_done: Path) -> None:
-    found = collect(SweepConfig.parse(GIVEN), half_done)
+    found = collect(parse_sweep(GIVEN), half_done)
     interval = found["cells"][1]["rotation_iqm_rad"]
     returns = found["cells"][1]["return_iqm"]
     lines = markdown_table(json.loads(json.dumps(found))).splitlines()
@@ -144,16 +144,19 @@ def test_the_table_by_hand(half_done: Path) -> None:
     assert "1,000 environment steps; cylinder, palm up" in said
     assert "3 episodes of 2 s" in said
     assert "at least 2 rad" in said
+    evaluation = {"axis": "x", "sensor_latency": 0.05}
+    other = collect(parse_sweep({**GIVEN, "evaluation": evaluation}), half_done)
+    assert "cylinder, palm up, sensor_latency 0.05, axis x. Each policy: 100" in caption(other)
 
 
 def test_several_objects_are_rows_of_their_own(half_done: Path) -> None:
-    both = {**GIVEN, "evaluation": {"objects": ["cube", "cylinder"]}}
+    both = {**GIVEN, "evaluation": {"object": ["cube", "cylinder"]}}
     result = {"objects": {"cube": figures(3.0, 1, 0), "cylinder": figures(1.0, 2, 0)}}
     write_result(half_done / "runs" / "vge-igm-0", result)
     for folder in half_done.glob("runs/*-gait-*"):
         write_result(folder, result)
     write_result(half_done / "runs" / "rl-0", result)
-    lines = markdown_table(collect(SweepConfig.parse(both), half_done)).splitlines()
+    lines = markdown_table(collect(parse_sweep(both), half_done)).splitlines()
     igm = [line for line in lines if "in-grasp" in line]
     assert "| cube | 1 of 4 (1 unfinished, 2 not started) | 1/1 (21 to 100 %) | 3.00" in igm[0]
     assert "| cylinder | 1 of 4 (1 unfinished, 2 not started) | 0/1 (0 to 79 %) | 1.00" in igm[1]
@@ -161,7 +164,7 @@ def test_several_objects_are_rows_of_their_own(half_done: Path) -> None:
 
 def test_a_row_for_each_run(half_done: Path, tmp_path: Path) -> None:
     path = tmp_path / "runs.csv"
-    write_csv(path, collect(SweepConfig.parse(GIVEN), half_done))
+    write_csv(path, collect(parse_sweep(GIVEN), half_done))
     with path.open(newline="") as file:
         rows = {
             (row["method"], row["controllers"], row["seed"]): row for row in csv.DictReader(file)
@@ -175,6 +178,15 @@ def test_a_row_for_each_run(half_done: Path, tmp_path: Path) -> None:
     )
     assert (failed["rotation_median_rad"], failed["share_dropped"]) == ("", "")
     assert failed["error"] == "training diverged: not finite"
+
+
+def test_results_of_the_first_format_have_their_table() -> None:
+    """Pages are generated of results that were measured before the evaluation had a scene."""
+    folder = Path(__file__).parents[3] / "benchmarks" / "results" / "learning_table"
+    found = json.loads((folder / "results.json").read_text())
+    assert found["format"] == 1
+    text = f"{markdown_table(found)}\n\n{caption(found)}\n"
+    assert text == (folder / "table.md").read_text()
 
 
 def test_results_of_something_else() -> None:
@@ -234,7 +246,7 @@ def test_time_left_by_hand(tmp_path: Path) -> None:
 
 def test_the_figure(half_done: Path) -> None:
     pytest.importorskip("matplotlib")
-    config = SweepConfig.parse(GIVEN)
+    config = parse_sweep(GIVEN)
     assert draw(config, half_done) == []  # nothing logged, no empty axes
     for seed in range(3):
         rows = [(100 * k, float(seed + k), float(k)) for k in range(1, 6 + 2 * seed)]

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from dexctl.cli.checks import check_count, make_folder
 from dexctl.cli.output import notes, print_json, results, to_json
-from dexctl.cli.parsing import check_count, make_folder
+from dexctl.cli.output import table as without_lines
+from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput, MissingExtra
 
 if TYPE_CHECKING:
@@ -44,15 +46,15 @@ class Sweep:
     """Environment steps of each run, in place of the file's."""
     seed: int = 0
     """Added to every seed in the file."""
-    report_only: bool = False
+    report_only: Switch = False
     """Run nothing; make the table and the figure of what is there."""
-    json: bool = False
+    json: Switch = False
     """Print the results as one JSON object instead of the table."""
 
     def run(self) -> int:
         if self.jobs is not None:
             check_count("--jobs", self.jobs)
-        if not self.report_only and not (find_spec("torch") and find_spec("stable_baselines3")):
+        if not self.report_only and not find_spec("torch"):
             raise MissingExtra("dexctl sweep", "learning")
         from learning.sweep.run import check, prepare, reopen, run_all
         from learning.training.run_folder import locked
@@ -66,20 +68,25 @@ class Sweep:
                 )
             config, folder = reopen(given), make_folder(given)
         else:
-            from learning.sweep.config import SweepConfig
+            from learning.sweep.reading import load_sweep
 
-            config = SweepConfig.load(given, seed=self.seed, steps=self.steps)
+            config = load_sweep(given, seed=self.seed, steps=self.steps)
             folder = make_folder(self.out or Path("runs") / given.stem)
         if self.report_only:  # at any time, while the sweep is at work too
             check(config, folder)
             return self._report(config, folder)
         with locked(folder):
             prepare(config, folder)
-            from learning.cli_sweep_display import Display
+            from learning.cli.sweep_display import Display
 
-            total = len(config.runs) + len(config.evaluation.controllers)
-            with self._pool() as pool, Display(total) as lines, _terminated_like_interrupted():
-                run_all(config, folder, pool, watch=lines.show)
+            total = len(config.runs) + len(config.compared)
+            try:
+                with self._pool() as pool, Display(total) as lines, _terminated_like_interrupted():
+                    run_all(config, folder, pool, watch=lines.show)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"interrupted: what was begun is saved; `dexctl sweep {folder}` goes on"
+                ) from None
             return self._report(config, folder)
 
     def _pool(self) -> LocalPool | RayPool:
@@ -96,7 +103,7 @@ class Sweep:
         """Write and print what there is; 1 where something failed."""
         from dexctl.files import write_text
         from dexctl.report.machine import machine
-        from learning.cli_sweep_figure import draw
+        from learning.cli.sweep_figure import draw
         from learning.sweep.results import collect, write_csv
         from learning.sweep.table import caption, markdown_table
 
@@ -119,15 +126,11 @@ class Sweep:
 
 
 def _print(found: dict[str, Any]) -> None:
-    from rich.table import Table
-
     from learning.sweep.table import caption, table
 
     console = results()
     header, rows = table(found, titles=False)
-    shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in header:
-        shown.add_column(heading, overflow="fold")
+    shown = without_lines(*header, gap=2)
     for row in rows:
         shown.add_row(*row)
     console.print(f"[bold]{found['name']}[/bold]\n")

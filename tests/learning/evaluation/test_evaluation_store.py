@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -15,26 +16,26 @@ import pytest
 
 import dexctl
 from dexctl import controllers
-from learning import evaluation_store
-from learning.evaluate import Protocol
-from learning.evaluation_store import EvaluationStore, fingerprint
-from learning.robustness import robustness
+from dexctl.settings import changed, get, paths
+from learning.evaluation import Protocol, evaluate
+from learning.evaluation import store as stores
+from learning.evaluation.robustness import robustness
+from learning.evaluation.store import EvaluationStore, fingerprint
 
-SHORT = Protocol(episodes=2, seconds=0.1, threads=1)
-LEVELS = {"joint": (0.1,), "push": (0.5, 1.0)}
+SHORT = changed(Protocol(), {"episodes": 2, "seconds": 0.1, "threads": 1})
+LEVELS = {"joint_noise": (0.1,), "push_force": (0.5, 1.0)}
 
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What was really evaluated."""
     made: list[str] = []
-    real = evaluation_store.evaluate
 
-    def counted(controller, object, protocol=None, *, progress=None):  # noqa: A002
+    def counted(who, protocol=None, *, object="", progress=None):  # noqa: A002
         made.append(object)
-        return real(controller, object, protocol, progress=progress)
+        return evaluate(who, protocol, object=object, progress=progress)
 
-    monkeypatch.setattr(evaluation_store, "evaluate", counted)
+    monkeypatch.setattr(stores, "evaluate", counted)
     return made
 
 
@@ -42,21 +43,21 @@ def test_what_is_finished_is_not_done_again(
     dex5: dexctl.HandModel, tmp_path: Path, calls: list[str]
 ) -> None:
     hold = controllers.make("hold", dex5)
-    first = robustness(hold, "cube", SHORT, LEVELS, run=EvaluationStore(tmp_path / "points"))
+    first = robustness(hold, SHORT, LEVELS, run=EvaluationStore(tmp_path / "points"))
     assert len(calls) == 4
     files = sorted((tmp_path / "points").iterdir())
     assert [path.name.rpartition("-")[0] for path in files] == [
-        "cube", "cube-joint-0.1", "cube-push-0.5", "cube-push-1",
+        "cube", "cube-joint_noise-0.1", "cube-push_force-0.5", "cube-push_force-1",
     ]  # fmt: skip
     files[2].unlink()
     files[3].write_bytes(files[3].read_bytes()[:100])  # cut short by who knows what
     store = EvaluationStore(tmp_path / "points")
-    again = robustness(hold, "cube", replace(SHORT, threads=2), LEVELS, run=store)
+    again = robustness(hold, changed(SHORT, {"threads": 2}), LEVELS, run=store)
     assert (len(calls), store.found) == (6, 2)
     for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.rotation, other.rotation)
         np.testing.assert_array_equal(one.rotations, other.rotations)
-        assert other.protocol == replace(one.protocol, threads=2)
+        assert other.protocol == changed(one.protocol, {"threads": 2})
         assert one.to_dict() == other.to_dict()
 
 
@@ -65,20 +66,46 @@ def test_nothing_is_taken_for_something_else(
 ) -> None:
     hold = controllers.make("hold", dex5)
     store = EvaluationStore(tmp_path)
-    store(hold, "cube", SHORT)
-    store(hold, "cylinder", SHORT)
-    store(hold, "cube", replace(SHORT, seed=1))
-    store(controllers.make("igm", dex5), "cube", SHORT)
-    store(controllers.make("igm", dex5, grip_force=2.0), "cube", SHORT)
+    store(hold, SHORT)
+    store(hold, SHORT, object="cylinder")
+    store(hold, replace(SHORT, seed=1))
+    store(controllers.make("igm", dex5), SHORT)
+    store(controllers.make("igm", dex5, grip_force=2.0), SHORT)
     assert (len(calls), store.found) == (5, 0)
-    store(controllers.make("igm", dex5), "cube", SHORT)
+    store(controllers.make("igm", dex5), SHORT)
     assert (len(calls), store.found) == (5, 1)
+
+
+def test_every_setting_counts_but_threads(dex5: dexctl.HandModel, tmp_path: Path) -> None:
+    """A digest for each setting that differs; files by what is in them."""
+    hold, seen = controllers.make("hold", dex5), set()
+    states, mesh = tmp_path / "states.npz", tmp_path / "thing.stl"
+    others = {
+        "scene.hand": "wonik_allegro", "scene.object": "sphere", "scene.object_mesh": mesh,
+        "scene.gravity": "down", "scene.initial_states": states, "task.axis": "x",
+    }  # fmt: skip
+
+    def about(protocol: Protocol) -> str:
+        return json.dumps(stores._about(hold, protocol.scene.object[0], protocol), sort_keys=True)
+
+    for path in (states, mesh):
+        path.write_text("one")
+    for path in paths(Protocol):
+        value = get(Protocol(), path)
+        number = 0.5 if value is None else value + 1 if path not in others else None
+        other = others.get(path, number)
+        if path != "scene.threads":
+            seen.add(about(changed(Protocol(), {path: other})))
+    assert len(seen) == len(list(paths(Protocol))) - 1
+    assert about(changed(Protocol(), {"threads": 2})) == about(Protocol())
+    states.write_text("another")
+    assert about(changed(Protocol(), {"initial_states": states})) not in seen
 
 
 def test_fingerprints(dex5: dexctl.HandModel) -> None:
     make = controllers.make
     assert fingerprint(make("igm", dex5)) == fingerprint(make("igm", dex5))
-    different = [make(name, dex5) for name in controllers.names()]
+    different = [make(name, dex5) for name in ("igm", "switch", "gait", "coordinated", "hold")]
     different.append(make("igm", dex5, axis=(1.0, 0.0, 0.0)))
     assert len({fingerprint(one) for one in different}) == len(different)
 
@@ -87,7 +114,7 @@ def test_a_killed_sweep_continues(tmp_path: Path) -> None:
     out = tmp_path / "out"
     code = (
         "import sys; from dexctl.cli.parsing import parse; "
-        "from learning.cli_evaluate import Evaluate; "
+        "from learning.cli.evaluate import Evaluate; "
         f"parse(Evaluate, 'dexctl evaluate', ['hold', '--robustness', '--episodes', '2', "
         f"'--seconds', '0.3', '--out', {str(out)!r}]).run()"
     )
@@ -119,7 +146,7 @@ def test_a_full_disk_loses_nothing_that_was_there(
     dex5: dexctl.HandModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hold, store = controllers.make("hold", dex5), EvaluationStore(tmp_path)
-    store(hold, "cube", SHORT)
+    store(hold, SHORT)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
     def full(stream, **arrays) -> None:
@@ -128,5 +155,5 @@ def test_a_full_disk_loses_nothing_that_was_there(
 
     monkeypatch.setattr(np, "savez_compressed", full)
     with pytest.raises(OSError, match="No space left on device"):
-        store(hold, "cube", replace(SHORT, seed=1))
+        store(hold, replace(SHORT, seed=1))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -2,20 +2,69 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from rich.console import Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
-from dexctl.cli.output import notes
+from dexctl.cli.output import notes, table
+from learning.sweep.curves import read_rows
 from learning.sweep.jobs import Job, Outcome
-from learning.sweep.watch import Progress, progress
 
 _COLUMNS = ("run", "", "steps", "return", "turned, rad", "dropped", "left")
+_FIGURES = ("return", "rotation", "dropped")
+_RECENT = 6  # rows that the speed is taken from
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Of one job.
+
+    Attributes:
+        step: environment steps so far.
+        total: that it was planned for; 0 for a job that only evaluates.
+        figures: the last row's "return" [rad/s], "rotation" [rad] and "dropped", as far as known.
+        seconds_left: of training; None where nobody knows yet.
+    """
+
+    step: int
+    total: int
+    figures: Mapping[str, float]
+    seconds_left: float | None
+
+    @property
+    def doing(self) -> str:
+        """What, in a word."""
+        if self.total and self.step < self.total:
+            return "training" if self.step else "starting"
+        return "evaluating"
+
+
+def progress(job: Job) -> Progress:
+    """Where a job is."""
+    if job.config is None:
+        return Progress(0, 0, {}, None)
+    return of_rows(job.folder, int(job.config["steps"]))
+
+
+def of_rows(folder: Path, total: int) -> Progress:
+    """Where the run in ``folder`` is, of ``total`` steps."""
+    rows = read_rows(folder)
+    if not rows:
+        return Progress(0, total, {}, None)
+    last = rows[-1]
+    figures = {name: last[name] for name in _FIGURES if not math.isnan(last.get(name, math.nan))}
+    points = [(0.0, 0.0), *((row["step"], row["seconds"]) for row in rows)]
+    (step, seconds), (before, then) = points[-1], points[max(len(points) - 1 - _RECENT, 0)]
+    speed = (step - before) / (seconds - then) if seconds > then else 0.0
+    left = max(total - step, 0.0) / speed if speed > 0 else None
+    return Progress(int(step), total, figures, left)
 
 
 class Display:
@@ -63,15 +112,13 @@ class Display:
         self._console.print(f"dexctl: {text}", markup=False)
 
     def _lines(self, running: list[Job], ended: Mapping[str, Outcome]) -> Group:
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        for name in _COLUMNS:
-            table.add_column(name, justify="left" if name in _COLUMNS[:2] else "right")
+        lines = table(*_COLUMNS, right=_COLUMNS[2:], gap=2)
         for job in running:
-            table.add_row(*line(job.name, progress(job)))
+            lines.add_row(*line(job.name, progress(job)))
         finished = sum(found.state == "finished" for found in ended.values())
         counts = f"{finished} of {self._total} finished, {len(running)} at work"
         failed = len(ended) - finished
-        return Group(table, Text(counts + (f", {failed} failed" if failed else "")))
+        return Group(lines, Text(counts + (f", {failed} failed" if failed else "")))
 
 
 def line(name: str, now: Progress) -> tuple[str, ...]:

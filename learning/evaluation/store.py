@@ -10,8 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,18 @@ import numpy as np
 
 import dexctl
 from dexctl.controller import Controller
+from dexctl.exceptions import InvalidInput
 from dexctl.files import aside
-from learning.evaluate import Evaluation, Protocol, evaluate
+from dexctl.settings import changed, get, paths, to_plain
+from learning.evaluation.figures import Evaluation
+from learning.evaluation.protocol import Protocol
+from learning.evaluation.robustness import disturbance
+from learning.evaluation.rollout import Progress, evaluate, one_object
+from learning.evaluation.subject import Subject
 from learning.policies import Policy
-from learning.robustness import disturbance
 
-FORMAT = 1
-_ARRAYS = ("rotation", "time_held", "dropped", "diverged", "returns", "moments", "rotations")
+FORMAT = 2
+_ARRAYS = [field.name for field in fields(Evaluation) if field.name not in ("object", "protocol")]
 
 
 class EvaluationStore:
@@ -44,23 +48,26 @@ class EvaluationStore:
 
     def __call__(
         self,
-        controller: Controller,
-        object: str,  # noqa: A002 (the field's name for it)
+        who: Subject | Controller,
         protocol: Protocol | None = None,
         *,
-        progress: Callable[[float], None] | None = None,
+        object: str | None = None,  # noqa: A002
+        progress: Progress | None = None,
     ) -> Evaluation:
-        """The evaluation; see `learning.evaluate.evaluate`."""
-        protocol = protocol if protocol is not None else Protocol()
-        about = json.dumps(_about(controller, object, protocol), sort_keys=True)
-        path = self._path(object, protocol, about)
-        kept = _read(path, about, object, protocol)
+        """The evaluation; see `learning.evaluation.evaluate`."""
+        if protocol is None:
+            protocol = who.protocol() if isinstance(who, Subject) else Protocol()
+        name = one_object(protocol) if object is None else object
+        controller = who.acting(protocol) if isinstance(who, Subject) else who
+        about = json.dumps(_about(controller, name, protocol), sort_keys=True)
+        path = self._path(name, protocol, about)
+        kept = _read(path, about, name, protocol)
         if kept is not None:
             self.found += 1
             if progress is not None:
                 progress(protocol.seconds)
             return kept
-        made = evaluate(controller, object, protocol, progress=progress)
+        made = evaluate(controller, protocol, object=name, progress=progress)
         self._folder.mkdir(parents=True, exist_ok=True)
         arrays: dict[str, Any] = {name: getattr(made, name) for name in _ARRAYS}
         with aside(path) as part, part.open("wb") as stream:
@@ -88,17 +95,25 @@ def fingerprint(controller: Controller) -> str:
 
 
 def _about(controller: Controller, name: str, protocol: Protocol) -> dict[str, Any]:
-    how = asdict(protocol)
-    del how["threads"]  # changes nothing
+    """What decides the numbers: the files that a protocol names count by what is in them."""
+    how = changed(protocol, {"object": (name,), "threads": None})  # threads change nothing
+    files = {path: get(how, path) for path in paths(Protocol)}
     return {
         "format": FORMAT,
         "dexctl": dexctl.__version__,
         "controller": fingerprint(controller),
         "hand": controller.hand.path.stem,
         "control_period": controller.control_period,
-        "object": name,
-        "protocol": how,
+        "protocol": to_plain(how),
+        "files": {path: _digest(file) for path, file in files.items() if isinstance(file, Path)},
     }
+
+
+def _digest(file: Path) -> str:
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InvalidInput(f"cannot read {file}: {error.strerror or error}") from None
 
 
 def _read(path: Path, about: str, name: str, protocol: Protocol) -> Evaluation | None:
@@ -107,6 +122,7 @@ def _read(path: Path, about: str, name: str, protocol: Protocol) -> Evaluation |
         with np.load(path, allow_pickle=False) as stored:
             if str(stored["about"]) != about:
                 return None
-            return Evaluation(name, protocol, **{key: stored[key] for key in _ARRAYS})
+            arrays = {key: stored[key] for key in _ARRAYS}
+            return Evaluation(object=name, protocol=protocol, **arrays)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

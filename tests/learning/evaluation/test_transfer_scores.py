@@ -5,17 +5,16 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-import dexctl
-from dexctl import controllers
 from dexctl.exceptions import InvalidInput
 from dexctl.statistics import bootstrap_ratio
-from learning.evaluate import Evaluation, Protocol
-from learning.evaluation_files import write_transfer
-from learning.transfer import Trained, transfer
+from learning.evaluation import Evaluation, Protocol, open_subject
+from learning.evaluation.files import write_transfer
+from learning.evaluation.transfer import Trained, transfer
 
 ROTATION = {
     ("igm", "cube"): [2.0, 4.0, 6.0], ("igm", "sphere"): [1.0, 1.0, 2.0],
@@ -26,19 +25,26 @@ ROTATION = {
 
 
 @pytest.fixture
-def policies(dex5: dexctl.HandModel) -> list[Trained]:
-    return [
-        Trained("igm", "cube", controllers.make("igm", dex5)),
-        Trained("hold", "sphere", controllers.make("hold", dex5)),
-    ]
+def policies() -> list[Trained]:
+    return [Trained(open_subject("igm"), "cube"), Trained(open_subject("hold"), "sphere")]
 
 
-def run(controller, object, protocol=None, *, progress=None) -> Evaluation:  # noqa: A002
-    name = "hold" if isinstance(controller, controllers.Hold) else "igm"
-    rotation = np.array(ROTATION[name, object])
+def run(who: Any, protocol=None, *, object=None, progress=None) -> Evaluation:  # noqa: A002
+    name = str(object)
+    rotation = np.array(ROTATION[who.name, name])
     none = np.zeros(3, bool)
     return Evaluation(
-        object, protocol or Protocol(), rotation, np.ones(3), none, none, 10 * rotation
+        object=name,
+        protocol=protocol or Protocol(),
+        rotation=rotation,
+        time_held=np.ones(3),
+        dropped=none,
+        diverged=none,
+        returns=10 * rotation,
+        fingertips_only=np.ones(3),
+        drift=np.zeros(3),
+        moments=np.zeros(0),
+        rotations=np.zeros((0, 3)),
     )
 
 

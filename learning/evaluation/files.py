@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from dexctl.files import aside
 from dexctl.statistics import wilson
-from learning.envs.noise import SensorNoise
-from learning.evaluate import Evaluation
-from learning.transfer import Transfer
+from learning.evaluation.figures import Evaluation
+from learning.evaluation.robustness import KINDS, levels_of
+from learning.evaluation.transfer import Transfer
 
-_KINDS = [field.name for field in fields(SensorNoise)]
-_DISTURBED = [*(f"{kind}_noise" for kind in _KINDS), "push_force_N", "latency_s"]
+_DISTURBED = [*KINDS, "sensor_latency"]
 QUANTILES = (10, 25, 50, 75, 90)
 
 
 def write_episodes(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
     """One row for each episode."""
-    outcome = ["rotation_rad", "time_held_s", "dropped", "diverged", "return"]
+    outcome = [
+        "rotation_rad", "time_held_s", "dropped", "diverged", "return", "fingertips_only_share",
+        "drift_m",
+    ]  # fmt: skip
     rows = []
     for one in evaluations:
-        columns = (one.rotation, one.time_held, one.dropped, one.diverged, one.returns)
+        columns = (
+            one.rotation, one.time_held, one.dropped, one.diverged, one.returns,
+            one.fingertips_only, one.drift,
+        )  # fmt: skip
         for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             rows.append([one.object, *_disturbance(one), one.protocol.seed + i, *row])
     _write(path, ["object", *_DISTURBED, "seed", *outcome], rows)
@@ -75,8 +79,7 @@ def write_transfer(path: str | Path, found: Transfer) -> None:
 
 
 def _disturbance(one: Evaluation) -> list[float]:
-    noise = [getattr(one.protocol.noise, kind) for kind in _KINDS]
-    return [*noise, one.protocol.push.force, one.protocol.latency]
+    return [*levels_of(one.protocol).values(), one.protocol.scene.sensing.sensor_latency]
 
 
 def _write(path: str | Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -11,10 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.statistics import Estimate, bootstrap, bootstrap_ratio
-from learning.evaluate import Evaluation, Protocol, Run, evaluate
+from learning.evaluation.figures import Evaluation
+from learning.evaluation.protocol import Protocol
+from learning.evaluation.rollout import Run, evaluate
+from learning.evaluation.subject import Subject, open_subject
 
 # what R is, and of which numbers of an evaluation
 KINDS = {"rotation": ("rotation", "median"), "return": ("returns", "mean")}
@@ -24,14 +26,17 @@ class Trained(NamedTuple):
     """A policy, or a controller in its place, and the object that it is for.
 
     Attributes:
-        name: what people call it.
+        subject: the policy.
         object: name of the object that it was trained on.
-        controller: the policy.
     """
 
-    name: str
+    subject: Subject
     object: str
-    controller: Controller
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+        return self.subject.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +89,34 @@ class Transfer:
         }
 
 
+def open_trained(
+    names: Sequence[str], *, hand: str | None = None, parts: Sequence[str] | None = None
+) -> list[Trained]:
+    """Policies, each with the object that it was trained on.
+
+    Args:
+        names: what `open_subject` takes, or ``object=`` and that, where no card says the object.
+        hand, parts: see `open_subject`.
+
+    Raises:
+        InvalidInput: the object of one is not known; or see `open_subject`.
+    """
+    found = []
+    for text in names:
+        given, separator, rest = text.partition("=")
+        name = rest if separator and "/" not in given else text
+        subject = open_subject(name, hand=hand, parts=parts)
+        objects = (given,) if name is not text else subject.objects
+        if len(objects) != 1:
+            says = f"was trained on {' and '.join(objects)}" if objects else "has no such card"
+            raise InvalidInput(
+                f"a transfer matrix needs the one object that each policy was trained on; {name!r} "
+                f"{says}: give it, as in {(*objects, 'cube')[0]}={name}"
+            )
+        found.append(Trained(subject, objects[0]))
+    return found
+
+
 def transfer(
     policies: Sequence[Trained],
     protocol: Protocol | None = None,
@@ -98,7 +131,7 @@ def transfer(
         policies: at least two, of different objects.
         protocol: how; None is the standard one.
         objects: further ones, that no policy was trained on.
-        run: evaluates; a `learning.evaluation_store.EvaluationStore` keeps what is finished.
+        run: evaluates; a `learning.evaluation.store.EvaluationStore` keeps what is finished.
         progress: called with the policy, the object and the simulated time so far [s].
 
     Raises:
@@ -122,7 +155,7 @@ def transfer(
                 if progress is not None:
                     progress(policy, name, now)
 
-            row.append(run(policy.controller, name, protocol, progress=seen))
+            row.append(run(policy.subject, protocol, object=name, progress=seen))
         rows.append(tuple(row))
     return Transfer(tuple(policies), columns, tuple(rows))
 

@@ -7,40 +7,41 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput
-from learning import load_policy
-from learning.cli_sweep import Sweep
+from learning.cli.sweep import Sweep
+from learning.policies import load
 from learning.sweep.cluster import ClusterError, RayPool, run_here
-from learning.sweep.config import SweepConfig
 from learning.sweep.jobs import Job, jobs, outcome
 from learning.sweep.process import LocalPool
-from learning.train import read_config
-from learning.training.run_folder import locked
+from learning.sweep.reading import load_sweep, parse_sweep
+from learning.sweep.worker import do
+from learning.training.run_folder import RunFolder, locked
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TEXT = """
 methods = ["rl", "vge"]
 controllers = ["hold"]
 [train]
 steps = 800
 num_envs = 4
+log_every = 100
+checkpoint_every = 100
+device = "cpu"
+[train.sac]
 network = [16]
 batch_size = 16
 gradient_steps = 1
 learning_starts = 40
 buffer_size = 200
-log_every = 100
-checkpoint_every = 100
-device = "cpu"
 [train.env]
 object = "cylinder"
 episode_steps = 50
@@ -51,7 +52,7 @@ episodes = 2
 seconds = 0.5
 """
 RUN = (
-    "import sys; from dexctl.cli.parsing import parse; from learning.cli_sweep import Sweep; "
+    "import sys; from dexctl.cli.parsing import parse; from learning.cli.sweep import Sweep; "
     "parse(Sweep, 'dexctl sweep', sys.argv[1:]).run()"
 )
 
@@ -61,6 +62,17 @@ def run(*arguments: str) -> int:
     command = parse(Sweep, "dexctl sweep", arguments)
     assert command is not None
     return command.run()
+
+
+def start(file: Path, out: Path) -> subprocess.Popen[bytes]:
+    """`dexctl sweep` in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN, str(file), "--out", str(out), "--jobs", "2"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
 
 
 def wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
@@ -81,7 +93,7 @@ def file(tmp_path: Path) -> Path:
 
 def hold(tmp_path: Path, name: str = "hold") -> Job:
     """The evaluation of a controller: the quickest job that there is."""
-    config = SweepConfig.parse(
+    config = parse_sweep(
         {
             "methods": ["rl"],
             "train": {"env": {"object": "cylinder"}},
@@ -89,7 +101,7 @@ def hold(tmp_path: Path, name: str = "hold") -> Job:
         }
     )
     job = next(jobs(config, tmp_path))
-    return Job(name, job.folder.with_name(name), job.evaluation)
+    return replace(job, name=name, folder=job.folder.with_name(name))
 
 
 def test_killed_and_started_again(
@@ -100,15 +112,9 @@ def test_killed_and_started_again(
     rl, vge = out / "runs" / "rl-0", out / "runs" / "vge-hold-0"
     vge.mkdir(parents=True)
     (vge / "config.json").write_text("{")
-    prepared = SweepConfig.load(file)
-    (out / "sweep.json").write_text(json.dumps({"format": 1, **prepared.to_dict()}))
-    sweep = subprocess.Popen(
-        [sys.executable, "-c", RUN, str(file), "--out", str(out), "--jobs", "2"],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+    prepared = load_sweep(file)
+    (out / "sweep.json").write_text(json.dumps({"format": 2, **prepared.to_dict()}))
+    sweep = start(file, out)
     try:
         wait_for(rl, sweep)
         with pytest.raises(InvalidInput, match="another process is at work in"):
@@ -137,13 +143,13 @@ def test_killed_and_started_again(
     assert (rl / "result.json").stat().st_mtime_ns == done  # what is finished stays
     config = {run.name: run.config for run in prepared.runs}
     for folder, steps in ((rl, 800), (vge, 100)):
-        assert read_config(folder) == config[folder.name]  # a run as any other
-        assert load_policy(folder / "policy.npz").card["steps"] == steps
+        assert RunFolder(folder).config() == config[folder.name]  # a run as any other
+        assert load(folder).card["steps"] == steps
         result = json.loads((folder / "result.json").read_text())
         assert result["steps"] == steps
         assert len(result["episodes"]["cylinder"]["rotation_rad"]) == 2
-    file.write_text(TEXT.replace("[train]", "[train]\ngamma = 0.9"))
-    with pytest.raises(InvalidInput, match="other settings: runs.rl-0.gamma was 0.99, is 0.9;"):
+    file.write_text(TEXT.replace("[train.sac]", "[train.sac]\ngamma = 0.9"))
+    with pytest.raises(InvalidInput, match="other settings: runs.rl-0.sac.gamma was 0.99, is 0.9;"):
         run(str(file), "--out", str(out))
 
 
@@ -175,6 +181,40 @@ def test_stopped_in_order_is_no_failure(tmp_path: Path) -> None:
     assert outcome(job.folder).state == "unfinished"
     with locked(job.folder):
         pass
+
+
+def test_a_sweep_that_is_told_to_stop_saves_and_says_how_it_goes_on(
+    file: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run_folder = RunFolder(out / "runs" / "rl-0")
+    file.write_text(TEXT.replace("steps = 800", "steps = 100_000"))
+    sweep = start(file, out)
+    wait_for(run_folder.checkpoint_path, sweep)
+    sweep.terminate()
+    _, said = sweep.communicate(timeout=100)
+    assert sweep.returncode != 0
+    assert f"interrupted: what was begun is saved; `dexctl sweep {out}` goes on" in said.decode()
+    with run_folder.lock():  # nobody is left
+        assert outcome(run_folder.path).state == "unfinished"
+        assert run_folder.read_checkpoint() is not None
+
+
+def test_controllers_are_made_for_the_axis_that_was_trained(tmp_path: Path) -> None:
+    """About x, an object of the size that was trained with; about z, igm turns it elsewhere."""
+    given = {
+        "methods": ["rl"],
+        "train": {"axis": "x", "object_size": 0.07},
+        "evaluation": {"episodes": 2, "seconds": 1, "controllers": ["igm"]},
+    }
+    job = next(jobs(parse_sweep(given), tmp_path))
+    do(job)
+    result = outcome(job.folder).result
+    assert result is not None
+    # 0.5 rad/s for a second, less what the fingers need to get going
+    assert min(result["episodes"]["cube"]["rotation_rad"]) > 0.3
+    assert result["evaluation"]["task"]["axis"] == "x"
+    assert result["evaluation"]["scene"]["object_size"] == 0.07
 
 
 def test_a_task_of_ray_is_the_same_process(tmp_path: Path) -> None:
@@ -210,8 +250,8 @@ def test_on_a_ray_cluster(file: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     poisoned = out / "runs" / "vge-hold-0"
     poisoned.mkdir(parents=True)
     (poisoned / "config.json").write_text("{")
-    prepared = SweepConfig.load(file, steps=100)
-    (out / "sweep.json").write_text(json.dumps({"format": 1, **prepared.to_dict()}))
+    prepared = load_sweep(file, steps=100)
+    (out / "sweep.json").write_text(json.dumps({"format": 2, **prepared.to_dict()}))
     cluster = start_ray()
     try:
         given = [str(file), "--steps", "100", "--out", str(out), "--ray", cluster.address]

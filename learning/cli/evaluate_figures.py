@@ -11,9 +11,9 @@ import numpy as np
 from dexctl.files import aside
 from dexctl.report.style import FAINT, INK, drawing, finger_colour, new_figure
 from dexctl.statistics import Estimate, wilson
-from learning.evaluate import FULL_TURN, Evaluation
-from learning.robustness import disturbance
-from learning.transfer import Transfer
+from learning.evaluation.figures import FULL_TURN, Evaluation
+from learning.evaluation.robustness import disturbance
+from learning.evaluation.transfer import Transfer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 
 # kind of disturbance: what stands under the axis, and what a level is multiplied by for it
 _KINDS = {
-    "joint": ("noise of joints [rad]", 1.0),
-    "position": ("noise of contact points [mm]", 1e3),
-    "normal": ("noise of normals [%]", 1e2),
-    "force": ("noise of forces [%]", 1e2),
-    "push": ("force on the object [N]", 1.0),
+    "joint_noise": ("noise of joints [rad]", 1.0),
+    "position_noise": ("noise of contact points [mm]", 1e3),
+    "normal_noise": ("tilt of normals [rad]", 1.0),
+    "force_noise": ("noise of forces [N]", 1.0),
+    "force_noise_share": ("noise of forces [%]", 1e2),
+    "push_force": ("force on the object [N]", 1.0),
 }
 _LINES = ("-", (0, (5, 2)), "-.", ":")
 
@@ -96,7 +97,7 @@ def draw_robustness(path: Path, evaluations: Sequence[Evaluation]) -> None:
                 figures = [one.figures() for one in rows]
                 _band(column[0], levels, [f["rotation_median_rad"] for f in figures], i, name)
                 _band(column[1], levels, [f["share_dropped"] for f in figures], i, name, 100.0)
-            column[0].set_title(kind)
+            column[0].set_title(kind.replace("_", " "))
             column[1].set(xlabel=label)
         axes[0, 0].set(ylabel="rotation before a drop [rad]\n(median, 95 % bootstrap)")
         axes[1, 0].set(ylabel="dropped [%]\n(95 % Wilson)")

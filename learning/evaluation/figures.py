@@ -1,0 +1,131 @@
+"""Evaluation: what came of a rollout, in figures with intervals.
+
+Episodes are independent, so intervals are over them; claims about a method need several seeds of
+training (`dexctl.statistics`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dexctl.state import Bools, Floats
+from dexctl.statistics import Estimate, bootstrap, wilson
+from learning.envs.turning import returns_of
+from learning.evaluation.protocol import Protocol
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene, Trace
+
+FULL_TURN = 2.0 * np.pi
+# rotation over time is kept at no more moments than this, so that many evaluations stay small
+_MOMENTS = 120
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluation:
+    """What came of N episodes with one object; arrays are ``(N,)``.
+
+    Attributes:
+        object: its name.
+        protocol: as evaluated.
+        rotation: about the task's axis, up to the drop or the end [rad].
+        time_held: until then [s].
+        dropped: whether it was dropped; a simulation that broke down counts as dropped.
+        diverged: whether the simulation broke down.
+        returns: sum of the task's reward up to the drop or the end [rad/s].
+        fingertips_only: share of the time held in which nothing but fingertips touched.
+        drift: how far the object's centre went along gravity, at most, while it was held [m].
+        moments: times ``(K,)`` [s], from 0 to the end.
+        rotations: at these moments, standing still from the drop on, ``(K, N)`` [rad].
+    """
+
+    object: str
+    protocol: Protocol
+    rotation: Floats
+    time_held: Floats
+    dropped: Bools
+    diverged: Bools
+    returns: Floats
+    fingertips_only: Floats
+    drift: Floats
+    moments: Floats
+    rotations: Floats
+
+    @classmethod
+    def of(cls, trace: Trace, scene: Scene, protocol: Protocol) -> Evaluation:
+        """The evaluation of a trace of N episodes in ``scene``."""
+        held, steps = trace.held, len(trace.time) - 1
+        moments = np.unique(np.linspace(0, steps, min(_MOMENTS, steps) + 1).round().astype(int))
+        alone = (held & (trace.other_contact == 0.0)).sum(axis=0)
+        return cls(
+            object=scene.object,
+            protocol=protocol,
+            rotation=trace.final_rotation,
+            time_held=trace.time_held,
+            dropped=trace.dropped,
+            diverged=trace.diverged[-1],
+            returns=returns_of(trace, scene, protocol.task),
+            fingertips_only=alone / held.sum(axis=0),
+            drift=drift_of(trace, scene.gravity),
+            moments=trace.time[moments],
+            rotations=trace.rotation[moments],
+        )
+
+    @property
+    def speed(self) -> Floats:
+        """Mean angular velocity while held, ``(N,)`` [rad/s]; 0 where it was not held at all."""
+        held = self.time_held > 0
+        return np.where(held, self.rotation / np.where(held, self.time_held, 1.0), 0.0)
+
+    def held(self, moments: Floats) -> Floats:
+        """How many episodes still hold the object, ``(K,)``, at times ``(K,)`` [s]."""
+        gone = np.where(self.dropped, self.time_held, np.inf)
+        return (gone >= moments[:, None]).sum(axis=1)
+
+    def survival(self) -> tuple[Floats, Floats]:
+        """Times ``(K,)`` [s] after which fewer hold the object, and the share that does ``(K,)``.
+
+        Every episode ends at the same time, so this is the Kaplan-Meier estimate. It begins at
+        time 0; the share of a time holds from right after it to the next.
+        """
+        times = np.unique([0.0, *self.time_held[self.dropped]])
+        return times, self.held(np.nextafter(times, np.inf)) / len(self.rotation)
+
+    def figures(self) -> dict[str, Estimate]:
+        """Medians and means with 95 % bootstrap intervals, shares with Wilson's.
+
+        The time to failure is the time held: in the episodes that did not fail, all of it.
+        """
+        count = len(self.rotation)
+        return {
+            "rotation_median_rad": bootstrap(self.rotation, "median"),
+            "revolutions_median": bootstrap(self.rotation / FULL_TURN, "median"),
+            "speed_mean_rad_s": bootstrap(self.speed, "mean"),
+            "time_held_median_s": bootstrap(self.time_held, "median"),
+            "return_mean": bootstrap(self.returns, "mean"),
+            "share_dropped": wilson(int(self.dropped.sum()), count),
+            "share_full_turn": wilson(int((self.rotation >= FULL_TURN).sum()), count),
+            "share_fingertips_only": bootstrap(self.fingertips_only, "mean"),
+            "drift_median_m": bootstrap(self.drift, "median"),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures and the survival curve, as JSON can hold them."""
+        found: dict[str, Any] = {name: one.to_dict() for name, one in self.figures().items()}
+        times, shares = self.survival()
+        found["survival"] = {"time_s": times.tolist(), "share_held": shares.tolist()}
+        return found | {"diverged": int(self.diverged.sum())}
+
+
+def drift_of(trace: Trace, gravity: Floats) -> Floats:
+    """How far the object went along ``gravity`` ``(3,)`` at most while held, ``(N,)`` [m].
+
+    0 where it never was below its start, or where there is no gravity.
+    """
+    size = float(np.linalg.norm(gravity))
+    direction = np.asarray(gravity, float) / size if size > 0 else np.zeros(3)
+    fallen = (trace.object_position - trace.object_position[0]) @ direction
+    return np.where(trace.held, fallen, 0.0).max(axis=0)

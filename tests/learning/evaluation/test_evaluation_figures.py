@@ -1,0 +1,187 @@
+"""Evaluation: its figures against the environments and by hand, every setting of the reward."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl import controllers
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.settings import changed
+from learning.envs import EnvConfig, make_vector
+from learning.evaluation import Evaluation, Protocol, evaluate, open_subject, rollout
+from learning.evaluation.figures import drift_of
+from learning.evaluation.files import write_episodes
+from learning.evaluation.robustness import LEVELS, Disturbance, disturbance, protocols, robustness
+
+SHORT = changed(Protocol(), {"episodes": 4, "seconds": 1.0, "threads": 1, "object": "cylinder"})
+
+
+def made(rotation: list[float], held: list[float], dropped: list[bool]) -> Evaluation:
+    count = len(rotation)
+    return Evaluation(
+        object="cube",
+        protocol=Protocol(episodes=count),
+        rotation=np.array(rotation),
+        time_held=np.array(held),
+        dropped=np.array(dropped),
+        diverged=np.zeros(count, bool),
+        returns=np.zeros(count),
+        fingertips_only=np.arange(count) / (count - 1.0),
+        drift=np.arange(count) / 100.0,
+        moments=np.zeros(0),
+        rotations=np.zeros((0, count)),
+    )
+
+
+def test_figures_by_hand() -> None:
+    found = made([1.0, 7.0, 3.0, 0.0], [10.0, 60.0, 60.0, 0.0], [True, False, False, True])
+    figures = found.figures()
+    assert figures["rotation_median_rad"].value == 2.0
+    assert figures["revolutions_median"].value == pytest.approx(2.0 / (2 * np.pi))
+    assert figures["speed_mean_rad_s"].value == pytest.approx((0.1 + 7 / 60 + 0.05) / 4)
+    assert figures["share_dropped"].value == 0.5
+    assert figures["share_full_turn"].value == 0.25
+    assert figures["time_held_median_s"].value == 35.0
+    assert figures["share_fingertips_only"].value == 0.5
+    assert figures["drift_median_m"].value == pytest.approx(0.015)
+    told = json.loads(json.dumps(found.to_dict()))
+    assert told["share_dropped"]["count"] == 4
+    assert told["survival"] == {"time_s": [0.0, 10.0], "share_held": [0.75, 0.5]}
+
+
+def test_drift_is_along_gravity_and_while_it_is_held() -> None:
+    position = np.zeros((4, 2, 3))
+    position[:, 0, 2] = [0.1, 0.12, 0.07, -0.9]  # falls after the third row
+    position[:, 1, 2] = [0.1, 0.2, 0.3, 0.4]
+    held = np.array([[True, True], [True, True], [True, True], [False, True]])
+    trace: Any = SimpleNamespace(object_position=position, held=held)
+    np.testing.assert_allclose(drift_of(trace, np.array([0.0, 0.0, -9.81])), [0.03, 0.0])
+    np.testing.assert_allclose(drift_of(trace, np.array([0.0, 0.0, 2.0])), [0.02, 0.3])
+    np.testing.assert_array_equal(drift_of(trace, np.zeros(3)), [0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"max_reward": 0.1},
+        {"max_tilt": 0.01},
+        {"min_fingertips": 5},
+        {"substeps": 5, "axis": "-x", "gravity": "down", "object_mass": 0.05, "seed": 3},
+    ],
+)
+def test_rotation_and_return_are_the_environments(settings: dict[str, Any]) -> None:
+    subject = open_subject("igm")
+    protocol = changed(SHORT, settings)
+    found = evaluate(subject, protocol)
+    config = EnvConfig(scene=protocol.scene, task=protocol.task, max_speed=20.0, max_lead=1.0)
+    envs = make_vector(config, 4)
+    envs.reset(seed=protocol.seed)
+    igm = subject.acting(protocol)
+    igm.reset(0)
+    for _ in range(20):
+        _, _, _, _, info = envs.step(envs.change_to_action(igm.act(envs.state)))
+    np.testing.assert_allclose(found.rotation, info["rotation"], atol=1e-9)
+    np.testing.assert_allclose(found.returns, info["episode_return"], atol=1e-9)
+    np.testing.assert_array_equal(found.time_held, 1.0)
+    np.testing.assert_allclose(found.moments, 0.05 * np.arange(21))
+    np.testing.assert_array_equal(found.rotations[-1], found.rotation)
+    np.testing.assert_array_equal(found.rotations[0], 0.0)
+    assert not found.dropped.any()
+
+
+def test_a_nearer_drop_distance_drops_sooner() -> None:
+    subject = open_subject("igm")
+    protocol = subject.protocol(episodes=2, seconds=0.5, object="cylinder")
+    usual = rollout(subject, protocol)
+    assert not usual.evaluation.dropped.any()
+    near = rollout(subject, changed(protocol, {"drop_distance": 1e-5})).evaluation
+    assert near.dropped.all() and (near.rotation < usual.evaluation.rotation).all()
+
+
+def test_it_repeats_and_seeds_differ() -> None:
+    subject = open_subject("igm")
+    noisy = changed(SHORT, {"episodes": 3, "seconds": 0.5, "joint_noise": 0.05})
+    first, again = evaluate(subject, noisy), evaluate(subject, noisy)
+    np.testing.assert_array_equal(first.rotation, again.rotation)
+    shifted = evaluate(subject, replace(noisy, seed=1))
+    np.testing.assert_array_equal(first.rotation[1:], shifted.rotation[:2])
+    late = evaluate(subject, changed(noisy, {"joint_noise": 0.0, "sensor_latency": 0.1}))
+    clean = evaluate(subject, changed(noisy, {"joint_noise": 0.0}))
+    assert len({one.rotation.tobytes() for one in (first, late, clean)}) == 3
+
+
+def test_robustness_goes_through_every_level(dex5: dexctl.HandModel, tmp_path: Path) -> None:
+    done: list[tuple[int, int]] = []
+    found = robustness(
+        controllers.make("hold", dex5),
+        changed(SHORT, {"episodes": 2, "seconds": 0.1}),
+        {"joint_noise": (0.1,), "force_noise_share": (0.25,), "push_force": (0.5,)},
+        progress=lambda i, total: done.append((i, total)),
+    )
+    assert [disturbance(one.protocol) for one in found] == [
+        ("", 0.0), ("joint_noise", 0.1), ("force_noise_share", 0.25), ("push_force", 0.5),
+    ]  # fmt: skip
+    assert not np.array_equal(found[3].rotation, found[0].rotation)
+    assert done == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    write_episodes(tmp_path / "episodes.csv", found)
+    rows = list(csv.DictReader((tmp_path / "episodes.csv").open()))
+    assert len(rows) == 8
+    assert rows[3]["seed"] == "1"
+    assert float(rows[3]["joint_noise"]) == 0.1
+    assert float(rows[3]["time_held_s"]) == pytest.approx(0.1)
+
+
+def test_the_sweeps_go_as_far_as_the_thesis_does() -> None:
+    assert {kind: row[-1] for kind, row in LEVELS.items()} == {
+        "joint_noise": 0.1, "position_noise": 0.01, "normal_noise": 0.5, "force_noise_share": 0.5,
+        "push_force": 2.0,
+    }  # fmt: skip
+    disturbed = {"joint_noise": 0.3, "push_force": 1.0, "sensor_latency": 0.1, "gravity": "down"}
+    every = protocols(changed(Protocol(), disturbed))
+    assert len(every) == 21
+    assert {one.scene.gravity for one in every} == {"down"}
+    assert {one.scene.sensing.sensor_latency for one in every} == {0.1}
+    found = [disturbance(one) for one in every]
+    assert found[0] == Disturbance("", 0.0)
+    assert found[4] == Disturbance("joint_noise", 0.1)
+    assert found[-1] == Disturbance("push_force", 2.0)
+    assert len(set(found)) == 21
+
+
+def test_how_many_hold_it() -> None:
+    found = made([1.0, 7.0, 3.0], [0.5, 1.0, 1.0], [True, False, True])
+    np.testing.assert_array_equal(found.held(np.array([0.0, 0.5, 0.75, 1.0, 1.5])), [3, 3, 2, 2, 1])
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"episodes": 0}, "episodes is 0"),
+        ({"seconds": np.nan}, "seconds is nan"),
+        ({"seed": -1}, "seed is -1"),
+        ({"axis": "w"}, "unknown axis 'w'"),
+        ({"sensor_latency": -1.0}, "sensor_latency is -1"),
+        ({"smell": 1.0}, "unknown setting 'smell'"),
+        ({"object": "brick"}, "unknown object 'brick'; known: cube"),
+        ({"object": ("cube", "sphere")}, "object is cube, sphere; expected one"),
+        ({"control_period": 0.1}, "control_period is 0.1; the policy 'still' was trained with"),
+    ],
+)
+def test_bad_input(settings: dict[str, Any], said: str, still: Any) -> None:
+    with pytest.raises((InvalidInput, UnknownName), match=said):
+        evaluate(still, changed(Protocol(), settings))
+
+
+def test_an_unknown_disturbance(dex5: dexctl.HandModel) -> None:
+    with pytest.raises(UnknownName, match="unknown disturbance 'smell'; known: joint_noise"):
+        robustness(controllers.make("hold", dex5), levels={"smell": (1.0,)})
