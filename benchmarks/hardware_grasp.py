@@ -349,8 +349,8 @@ def _figures(
         found.append(
             Figure(
                 f"{controllers.entry(name).title} for {given.seconds:g} s in real time through the "
-                f"emulated bus, {REAL_SPEED:g} rad/s, {REAL_TORQUE:g} N m, {REAL_LATENCY:g} s "
-                "latency",
+                f"emulated bus, {REAL_SPEED:g} rad/s, {REAL_TORQUE:g} N m, "
+                f"{REAL.action_latency:g} s latency",
                 f"{len(whole)} of {len(runs)} runs to the end; {angles} rad",
                 "to the end",
                 len(whole) == len(runs),

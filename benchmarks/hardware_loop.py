@@ -26,7 +26,6 @@ from common import Figure, Settings, in_turns, progress, settings, spread, write
 import dexctl
 from dexctl import Controller
 from dexctl.limits import REAL_SPEED, REAL_TORQUE
-from dexctl.sim import Scene
 from hardware import ticker
 from hardware.bus import Bus
 from hardware.emulated_touch import EmulatedTactile

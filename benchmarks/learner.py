@@ -34,13 +34,13 @@ from learning.algorithms.config import SACConfig
 from learning.config import TrainConfig
 from learning.envs.config import EnvConfig
 from learning.envs.vector import make_vector
-from learning.exploration.config import GuidanceConfig
+from learning.exploration.config import GuidanceConfig, Method
 from learning.training.run_folder import RunFolder
 from learning.training.trainer import Trainer
 
 STOCK = ("stock", "stock_two_threads")
 # name: title, and the least ratio to stock that was asked for
-OURS = {
+OURS: dict[Method, tuple[str, float]] = {
     "rl": ("our learner, controllers off", 1.15),
     "vge": ("our learner, VGE with the coordinated gait", 0.9),
 }
@@ -66,7 +66,7 @@ class Options(Settings):
     """Control steps before; updates begin after a half of them."""
 
 
-def config(given: Options, method: str, **changes: Any) -> TrainConfig:
+def config(given: Options, method: Method, **changes: Any) -> TrainConfig:
     """The configuration of our sides; stock has the same numbers."""
     n = given.environments
     return TrainConfig(

@@ -17,7 +17,6 @@ import struct
 import threading
 import time
 from collections.abc import Iterable, Sequence
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -247,12 +246,7 @@ class Bus:
     def __enter__(self) -> Bus:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # -- one servo --------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ of the torque. One thread uses a hand at a time.
 from __future__ import annotations
 
 import time
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -367,10 +366,5 @@ class ServoHand:
     def __enter__(self) -> ServoHand:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.disarm()

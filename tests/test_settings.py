@@ -123,7 +123,9 @@ def test_tables_can_be_put_together_by_path() -> None:
     assert by_path(Run, values) == {
         "scene.noise.rate": 2.0, "scene.size": 1.0, "scene.noise.joint": 0.1, "rate": 3.0,
     }  # fmt: skip
-    for wrong, said in (({"scene.noise": 3}, "a.scene.noise is 3"), ({"joint": "x"}, "a.scene.noise.jo")):
+    for wrong, said in (
+        ({"scene.noise": 3}, "a.scene.noise is 3"), ({"joint": "x"}, "a.scene.noise.jo"),
+    ):  # fmt: skip
         with pytest.raises(InvalidInput, match=said):
             by_path(Run, wrong, "a")
 

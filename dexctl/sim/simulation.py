@@ -136,8 +136,8 @@ class Simulation:
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])
             raise InvalidInput(
-                f"state {rows[i]} is of the object {states.object[rows[i]]!r}; environment {i} has "
-                f"{self.objects[i]!r}"
+                f"state {rows[i]} is of the object {str(states.object[rows[i]])!r}; environment "
+                f"{i} has {self.objects[i]!r}"
             )
         self.read()
         self._put(states, rows, 0.0, chosen)

@@ -115,6 +115,14 @@ class Algorithm(ABC):
             left: share of the training that is left, for schedules of the learning rate.
         """
 
+    def values(self, observation: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """What candidates' actions ``(C, n, d)`` are worth in observations ``(n, K)``, ``(C, n)``.
+
+        Raises:
+            NotImplementedError: the algorithm has no critic of actions.
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not value actions")
+
     @abstractmethod
     def policy_layers(self) -> Layers:
         """The deterministic policy as (weight, bias) pairs, for the columns of group "policy"."""

@@ -29,8 +29,8 @@ from numpy.typing import ArrayLike
 
 import dexctl
 from dexctl.exceptions import InvalidInput
-from learning.envs.observation import VERSION
 from dexctl.files import aside, write_text
+from learning.envs.observation import VERSION
 from learning.policies.policy import Layer, PolicySpec, check_layers
 
 FORMAT = 1

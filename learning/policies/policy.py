@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.files import aside, write_text
 from dexctl.hand import HandModel
 from dexctl.state import Floats, GraspState
 from learning.envs.action import SetPointAction
 from learning.envs.observation import Observation, check_parts
-
-if TYPE_CHECKING:
-    from learning.envs.config import EnvConfig
 
 
 def _relu(x: Floats) -> Floats:

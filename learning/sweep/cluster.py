@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import time
 from importlib.util import find_spec
-from types import TracebackType
 from typing import Any, Self
 
 from dexctl.exceptions import DexctlError, MissingExtra
@@ -118,12 +117,7 @@ class RayPool:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        where: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Cancel what still runs, wait until it has saved, and leave the cluster."""
         left = list(self._tasks)
         for reference in left:

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from learning.sweep.jobs import FAILURE, LOG, Job, outcome, write_failure
@@ -115,12 +114,7 @@ class LocalPool:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        where: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Let those that still run save a checkpoint and end."""
         for worker in self._workers:
             worker.terminate()

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
-from dexctl.settings import from_plain
+from dexctl.settings import from_plain, to_plain
 from dexctl.sim.scene_config import SceneConfig
+from learning.evaluation.protocol import Protocol
 
 METHODS = {"rl": "RL", "rl+bc": "RL+BC", "fge": "FGE", "vge": "VGE", "vge+bc": "VGE+BC"}
 NONE = "-"
+_SAID = ("object", "gravity", "threads", "episodes", "seconds", "seed")  # in words of their own
 FORMAT = 2
 _FORMATS = (1, 2)  # the first had the evaluation's objects and gravity without a scene
 ROTATION, RETURN, DROPPED = "rotation_median_rad", "return_mean", "share_dropped"
@@ -68,6 +70,8 @@ def caption(results: Mapping[str, Any]) -> str:
     _check_format(results)
     plan, criterion = results["evaluation"], results["criterion"]["rotation"]
     palm = from_plain(SceneConfig, {"gravity": plan.get("scene", plan)["gravity"]}).palm
+    usual = to_plain(Protocol())
+    conditions = ", ".join([*objects_of(results), palm, *_unusual(plan, usual)])
     steps = sorted({settings["steps"] for settings in results["settings"].values()})
     if criterion == "guide":
         learned = "at least that of the best controller that guided it (RL: of the best of all)"
@@ -75,12 +79,21 @@ def caption(results: Mapping[str, Any]) -> str:
         learned = f"at least {criterion:.4g} rad"
     budget = " or ".join(f"{one:,}" for one in steps)
     return (
-        f"{budget} environment steps; {', '.join(objects_of(results))}, {palm}. "
+        f"{budget} environment steps; {conditions}. "
         f"Each policy: {plan['episodes']} episodes of "
         f"{plan['seconds']:g} s, rotation is their median, return and dropped their mean. Over "
         f"seeds: interquartile mean (dropped: mean) with 95 % bootstrap interval. Learned: seeds "
         f"whose rotation is {learned}, with 95 % Wilson interval."
     )
+
+
+def _unusual(plan: Mapping[str, Any], usual: Mapping[str, Any]) -> Iterator[str]:
+    """The settings of scene and task that are not those of the standard protocol."""
+    for name, value in plan.items():
+        if isinstance(value, Mapping):
+            yield from _unusual(value, usual.get(name, {}))
+        elif name in usual and name not in _SAID and value != usual[name]:
+            yield f"{name} {value}"
 
 
 def objects_of(results: Mapping[str, Any]) -> list[str]:

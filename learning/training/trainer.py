@@ -16,6 +16,7 @@ import torch
 from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.settings import difference, to_plain
 from learning.algorithms.base import Transitions
+from learning.algorithms.off_policy import OffPolicy
 from learning.config import TrainConfig
 from learning.exploration import POLICY
 from learning.training.build import build_algorithm, build_env, build_guide
@@ -211,6 +212,7 @@ class Trainer:
             self._update()
 
     def _values(self, seen: np.ndarray, rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        assert isinstance(self.algorithm, OffPolicy)  # the configuration sees to it
         return self.algorithm.values(seen[rows], actions)
 
     def _update(self) -> None:

@@ -55,7 +55,8 @@ def run(script: str, *arguments: str | Path, **environment: str) -> subprocess.C
 
 def test_every_script_is_run_here() -> None:
     scripts = {path.name for path in FOLDER.glob("*.py")} - {
-        "common.py", "readme.py", "learner_profile.py", "learning_curves.py", "sides.py", "stock.py",
+        "common.py", "readme.py", "learner_profile.py", "learning_curves.py", "sides.py",
+        "stock.py",
     }  # fmt: skip
     assert scripts == set(RUNS)
 
@@ -66,7 +67,9 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     if script in ("learner.py", "learned.py", "learning_ablation.py", "algorithms.py"):
-        pytest.importorskip("stable_baselines3", reason="needs the extra 'learning'")
+        pytest.importorskip("torch", reason="needs the extra 'learning'")
+    if script in ("learner.py", "algorithms.py"):
+        pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
     if script == "learning_ablation.py":
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]
     if script == "allegro.py":

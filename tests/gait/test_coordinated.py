@@ -14,7 +14,7 @@ from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
 from dexctl.grasp import is_force_closure
 from dexctl.igm import InGraspManipulationConfig
 from dexctl.sim import BatchSimulator, Scene
-from dexctl.sim.trial import Trace, rotation_about_z, run
+from dexctl.sim.trial import Trace, rotation_about, run
 from dexctl.switch import GuardedSwitchConfig, Phase
 
 
@@ -87,7 +87,7 @@ def test_an_untracked_object_is_turned_all_the_same(cylinder, loop):
     found = loop(CoordinatedGait(cylinder.hand), sim, 200, see)
     away = np.linalg.norm(np.asarray(sim.read().object_position) - sim.start_position, axis=-1)
     assert (away < 0.05).all()
-    assert (rotation_about_z(np.array(poses))[-1] > 0.8).all()
+    assert (rotation_about(np.array(poses), np.array([0.0, 0.0, 1.0]))[-1] > 0.8).all()
     assert len(starts(found.of("phase"), Phase.LOAD)) >= 8
 
 

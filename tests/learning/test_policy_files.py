@@ -18,19 +18,20 @@ import pytest
 
 import dexctl
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.settings import from_plain
 from learning import policies
-from learning.envs import EnvConfig, FingerGaitingVectorEnv, make_vector
+from learning.envs import EnvConfig, ManipulationVectorEnv, make_vector
 from learning.policies import Layer, Policy, PolicySpec, file
 
 
 @pytest.fixture(scope="module")
-def envs() -> FingerGaitingVectorEnv:
-    return make_vector(EnvConfig(object="cylinder", threads=1), 3, seed=0)
+def envs() -> ManipulationVectorEnv:
+    return make_vector(from_plain(EnvConfig, {"object": "cylinder", "threads": 1}), 3, seed=0)
 
 
 @pytest.fixture(scope="module")
-def spec(envs: FingerGaitingVectorEnv) -> PolicySpec:
-    return PolicySpec.of(envs.hand, envs.observation, envs.action, envs.config)
+def spec(envs: ManipulationVectorEnv) -> PolicySpec:
+    return PolicySpec.of(envs.hand, envs.observation, envs.action, "dex5")
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def layers() -> list[Layer]:
 
 
 def test_act_is_the_network_on_the_observation(
-    envs: FingerGaitingVectorEnv, spec: PolicySpec, layers: list[Layer]
+    envs: ManipulationVectorEnv, spec: PolicySpec, layers: list[Layer]
 ) -> None:
     policy = Policy(envs.hand, layers, spec)
     assert policy.control_period == 0.05
@@ -60,7 +61,7 @@ def test_act_is_the_network_on_the_observation(
 
 
 def test_a_policy_does_on_a_plant_what_its_actions_do_in_the_environment(
-    envs: FingerGaitingVectorEnv, spec: PolicySpec, layers: list[Layer]
+    envs: ManipulationVectorEnv, spec: PolicySpec, layers: list[Layer]
 ) -> None:
     from dexctl.sim import BatchSimulator, Scene
 
@@ -78,7 +79,7 @@ def test_a_policy_does_on_a_plant_what_its_actions_do_in_the_environment(
 
 
 def test_files_come_back(
-    tmp_path: Path, envs: FingerGaitingVectorEnv, spec: PolicySpec, layers: list[Layer]
+    tmp_path: Path, envs: ManipulationVectorEnv, spec: PolicySpec, layers: list[Layer]
 ) -> None:
     path = tmp_path / "policy.npz"
     policies.save(path, layers, spec, {"seed": 3, "steps": 1000})
@@ -134,7 +135,7 @@ def test_paths_that_hold_no_policy(tmp_path: Path) -> None:
 
 
 def test_a_run_folder_is_its_policy(
-    tmp_path: Path, spec: PolicySpec, layers: list[Layer], envs: FingerGaitingVectorEnv
+    tmp_path: Path, spec: PolicySpec, layers: list[Layer], envs: ManipulationVectorEnv
 ) -> None:
     run = tmp_path / "run.npz"  # whatever it is called
     run.mkdir()
@@ -314,7 +315,7 @@ def test_damaged_bytes_are_a_policy_or_one_line(tmp_path: Path) -> None:
 
 
 def test_layers_that_do_not_fit(
-    tmp_path: Path, envs: FingerGaitingVectorEnv, spec: PolicySpec, layers: list[Layer]
+    tmp_path: Path, envs: ManipulationVectorEnv, spec: PolicySpec, layers: list[Layer]
 ) -> None:
     with pytest.raises(InvalidInput, match=r"layer 0 .* weight \(15, 8\).*expected \(n, 65\)"):
         Policy(envs.hand, layers[1:], spec)

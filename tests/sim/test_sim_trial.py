@@ -7,10 +7,10 @@ import pytest
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.validation import unit_axis
 from dexctl.sim import BatchSimulator, Scene, SceneConfig, Sensing, Simulation, run
 from dexctl.sim.trial import rotation_about
 from dexctl.state import Floats, GraspState
+from dexctl.validation import unit_axis
 
 
 class Hold(Controller):

@@ -94,8 +94,8 @@ def test_scaled_observations_by_hand(dex5: dexctl.HandModel, state: dexctl.Grasp
 def test_observations_stay_in_their_space() -> None:
     for scaled in (False, True):
         config = env_config(
-            object="cylinder", parts=tuple(PARTS), scaled=scaled, normal_noise=0.5, force_noise_share=0.5,
-            threads=1,
+            object="cylinder", parts=tuple(PARTS), scaled=scaled, normal_noise=0.5,
+            force_noise_share=0.5, threads=1,
         )  # fmt: skip
         env = ManipulationEnv(config, seed=0)
         observation, _ = env.reset(seed=0)

@@ -15,6 +15,7 @@ from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
 from learning import policies
 from learning.cli.evaluate import Evaluate
+from learning.evaluation import Protocol, open_subject
 from learning.policies import PolicySpec
 
 MakePolicy = Callable[..., str]
@@ -230,3 +231,12 @@ def test_several_policies_do_where_it_is_said(
     found = json.loads(capsys.readouterr().out)
     assert found["protocol"]["scene"]["gravity"] == "down"
     assert found["transfer"]["objects"] == ["cube", "sphere"]
+
+
+def test_cards_of_other_versions_are_read_as_far_as_they_matter(policy_of: MakePolicy) -> None:
+    env = {"scene": {"object": ["sphere"], "gravity": "down"}, "task": {"axis": "x"}}
+    trained = {"env": env, "guidance": {"method": "rl"}, "sac": {"colour": "red"}, "depth": 3}
+    subject = open_subject(policy_of({"trained": trained}))
+    assert (subject.objects, subject.guides) == (("sphere",), ())
+    assert subject.protocol(axis="y").scene.gravity == "down"
+    assert open_subject(policy_of({})).protocol() == Protocol()

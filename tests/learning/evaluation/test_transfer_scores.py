@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,11 +29,12 @@ def policies() -> list[Trained]:
     return [Trained(open_subject("igm"), "cube"), Trained(open_subject("hold"), "sphere")]
 
 
-def run(who, protocol=None, *, object="", progress=None) -> Evaluation:  # noqa: A002
-    rotation = np.array(ROTATION[who.name, object])
+def run(who: Any, protocol=None, *, object=None, progress=None) -> Evaluation:  # noqa: A002
+    name = str(object)
+    rotation = np.array(ROTATION[who.name, name])
     none = np.zeros(3, bool)
     return Evaluation(
-        object=object,
+        object=name,
         protocol=protocol or Protocol(),
         rotation=rotation,
         time_held=np.ones(3),

@@ -144,6 +144,9 @@ def test_the_table_by_hand(half_done: Path) -> None:
     assert "1,000 environment steps; cylinder, palm up" in said
     assert "3 episodes of 2 s" in said
     assert "at least 2 rad" in said
+    evaluation = {"axis": "x", "sensor_latency": 0.05}
+    other = collect(parse_sweep({**GIVEN, "evaluation": evaluation}), half_done)
+    assert "cylinder, palm up, sensor_latency 0.05, axis x. Each policy: 100" in caption(other)
 
 
 def test_several_objects_are_rows_of_their_own(half_done: Path) -> None:
