@@ -66,10 +66,10 @@ CASES: Mapping[str, Case] = {
         algorithm="sac",
         settings=SACConfig(
             network=(64, 64), batch_size=256, gradient_steps=8, learning_rate=1e-3,
-            learning_starts=1000, buffer_size=20_000, entropy_coefficient=0.1,
+            learning_starts=1000, buffer_size=12_000, entropy_coefficient=0.1,
         ),
         num_envs=8,
-        steps=20_000,
+        steps=12_000,
         turn=50,
     ),
     "pendulum_ppo": Case(
