@@ -130,11 +130,12 @@ def config(name: str, seed: int, given: Options) -> TrainConfig:
     steps = max(round(case.steps * given.share / turn), 1) * turn
     if isinstance(own, SACConfig):
         own = replace(own, learning_starts=min(own.learning_starts, steps // 4))
+    chosen: dict[str, Any] = {case.algorithm: own}
     return TrainConfig(
         env=EnvConfig(scene=SceneConfig(object=("cylinder",), threads=1), scaled=True),
         guidance=GuidanceConfig(method="rl"),
         algorithm=case.algorithm,
-        **{case.algorithm: own},
+        **chosen,
         steps=steps,
         seed=seed,
         num_envs=case.num_envs,

@@ -6,7 +6,6 @@ import time
 from abc import ABC, abstractmethod
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -16,12 +15,14 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stock import stock_ppo, stock_sac
 
 from learning.algorithms import Algorithm, Transitions, make
-from learning.algorithms.config import PPOConfig, SACConfig
+from learning.algorithms.config import PPOConfig, SACConfig, TD3Config
 from learning.config import TrainConfig
 from learning.envs.vector import make_vector
 from learning.policies.policy import ACTIVATIONS
 from learning.training.run_folder import RunFolder
 from learning.training.trainer import Trainer
+
+Own = SACConfig | TD3Config | PPOConfig
 
 
 def gymnasium_vector(name: str, num_envs: int, seed: int) -> VectorEnv:
@@ -86,11 +87,13 @@ class Ours(Side):
 class OursInLoop(Ours):
     """The plain loop over any vector environment of gymnasium's."""
 
-    def __init__(self, of: SACConfig | PPOConfig, env: VectorEnv, seed: int) -> None:
+    def __init__(self, of: Own, env: VectorEnv, seed: int) -> None:
         super().__init__(env.num_envs)
         self.env = env
-        (size,) = env.single_observation_space.shape or ()
-        (actions,) = env.single_action_space.shape or ()
+        size, actions = (
+            int(np.prod(space.shape or ()))
+            for space in (env.single_observation_space, env.single_action_space)
+        )
         everything = slice(0, size)
         self.algorithm = make(
             of,
@@ -138,10 +141,14 @@ class OursInTrainer(Ours):
 class Stock(Side):
     """stable-baselines3's algorithms with the settings of ours."""
 
-    def __init__(self, of: SACConfig | PPOConfig, env: VectorEnv, seed: int) -> None:
+    def __init__(self, of: Own, env: VectorEnv, seed: int) -> None:
         super().__init__(env.num_envs)
-        build: Any = stock_ppo if isinstance(of, PPOConfig) else stock_sac
-        self.agent: BaseAlgorithm = build(of, env, seed)
+        assert not isinstance(of, TD3Config)
+        self.agent: BaseAlgorithm
+        if isinstance(of, PPOConfig):
+            self.agent = stock_ppo(of, env, seed)
+        else:
+            self.agent = stock_sac(of, env, seed)
 
     def _train(self, steps: int) -> None:
         self.agent.learn(steps * self.num_envs, reset_num_timesteps=self.steps == 0)
@@ -149,7 +156,7 @@ class Stock(Side):
     def decide(self, observation: np.ndarray) -> np.ndarray:
         normalise = self.agent.get_vec_normalize_env()
         if normalise is not None:
-            observation = normalise.normalize_obs(observation)
+            observation = np.asarray(normalise.normalize_obs(observation))
         return self.agent.predict(observation, deterministic=True)[0]
 
     def close(self) -> None:
