@@ -66,8 +66,7 @@ class Simulation:
             disturbance=config.disturbance,
             seed=seeds,
         )
-        given = {"kp": config.stiffness, "kv": config.damping}
-        self.sim.set_parameters(**{k: v for k, v in given.items() if v is not None})
+        self.sim.set_parameters(**config.parameters)
         self.hand, self.num_envs, self.objects = self.sim.hand, count, self.sim.objects
         self.control_period, self.batch_shape = self.sim.control_period, (count,)
         self._plant: LimitedHand | GroupedSimulator = self.sim
