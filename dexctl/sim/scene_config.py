@@ -113,11 +113,12 @@ class SceneConfig:
             UnknownName: no such object.
             SimulationError: the hand does not hold the object.
         """
+        from dexctl.sim.parameters import set_on
         from dexctl.sim.scene import Scene
 
         self.check_objects()
         model = hands.load(self.hand) if hand is None else hand
-        return [
+        found = [
             Scene.build(
                 model,
                 name,
@@ -128,6 +129,9 @@ class SceneConfig:
             )
             for name in self.object
         ]
+        for scene in found:  # before they settle
+            set_on(scene, self.parameters)
+        return found
 
     @property
     def palm(self) -> str:
