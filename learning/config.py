@@ -139,10 +139,8 @@ def recipe(name: str, method: str | None = None) -> TrainConfig:
     """
     if name not in RECIPES:
         raise UnknownName("recipe", name, RECIPES)
-    made = RECIPES[name]()
-    if method is None:
-        return made
-    guidance, usual = replace(made.guidance, method=method), GuidanceConfig()
+    made, usual = RECIPES[name](), GuidanceConfig()
+    guidance = made.guidance if method is None else replace(made.guidance, method=method)
     if not guidance.imitates:
         guidance = replace(
             guidance,

@@ -85,11 +85,12 @@ def make_controller(
         InvalidInput: a damaged policy, or one for another hand.
         SimulationError: the hand cannot be driven by that controller.
     """
+    about = unit_axis(axis)
     known = name in controllers.names()
     own = known and controllers.entry(name).module.startswith("dexctl.")
     period = config.control_period if own else None
     try:
-        return controllers.resolve(name, hand, control_period=period, axis=unit_axis(axis))
+        return controllers.resolve(name, hand, control_period=period, axis=about)
     except InvalidInput as error:
         if not known:
             raise

@@ -9,11 +9,14 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import cache
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from dexctl import settings
 from dexctl.report import html, words
-from dexctl.sim import Scene, SceneConfig
+from dexctl.sim import SceneConfig
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene
 
 # Settings that `conditions` says in words of its own, and one that no figure depends on.
 _SAID = (

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from dexctl.sim.scene import Scene
 
 
+# settings that are parameters of the simulator, and what it calls them
+_PARAMETERS = {"stiffness": "kp", "damping": "kv"}
+
+
 @dataclass(frozen=True, kw_only=True)
 class SceneConfig:
     """A hand with an object, as it is simulated.
@@ -73,11 +77,17 @@ class SceneConfig:
             self,
             positive=("object_mass", "control_period"),
             not_negative=("disturbance",),
-            optional=("object_size", "stiffness", "damping"),
+            optional=("object_size", *_PARAMETERS),
         )
         check_whole(self, substeps=1)
         if self.threads is not None:
             check_whole(self, threads=1)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Of the simulator, by its own names; what is not said stays as the files have it."""
+        found = {name: getattr(self, setting) for setting, name in _PARAMETERS.items()}
+        return {name: value for name, value in found.items() if value is not None}
 
     def undisturbed(self) -> SceneConfig:
         """The same without noise, latency of the sensors, pushes and given starts."""

@@ -94,7 +94,7 @@ class Sensor:
         else:
             self._past = [_merged(begin, now, one) for one in self._past]
         then = self._past[0]
-        age = np.maximum(now["age"], now["time"] - then["time"])
+        age = then["age"] + now["time"] - then["time"]
         return replace(seen, **{**then, "time": now["time"], "age": age})
 
     def save(self) -> dict[str, object]:

@@ -66,8 +66,7 @@ class Simulation:
             disturbance=config.disturbance,
             seed=seeds,
         )
-        given = {"kp": config.stiffness, "kv": config.damping}
-        self.sim.set_parameters(**{k: v for k, v in given.items() if v is not None})
+        self.sim.set_parameters(**config.parameters)
         self.hand, self.num_envs, self.objects = self.sim.hand, count, self.sim.objects
         self.control_period, self.batch_shape = self.sim.control_period, (count,)
         self._plant: LimitedHand | GroupedSimulator = self.sim
@@ -136,8 +135,8 @@ class Simulation:
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])
             raise InvalidInput(
-                f"state {rows[i]} is of the object {states.object[rows[i]]!r}; environment {i} has "
-                f"{self.objects[i]!r}"
+                f"state {rows[i]} is of the object {str(states.object[rows[i]])!r}; environment "
+                f"{i} has {self.objects[i]!r}"
             )
         self.read()
         self._put(states, rows, 0.0, chosen)

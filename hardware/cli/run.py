@@ -122,7 +122,9 @@ class Run(HandOptions):
         if name == NOTHING:
             given = [path for path in self._given() if path in OF_AN_OBJECT]
             if given:
-                raise InvalidInput(f"{flags(given)} is of an object; --object is none")
+                raise InvalidInput(
+                    f"{flags(given)}: the hand is empty; expected an --object with it"
+                )
         else:
             from dexctl.sim.objects import MESH, object_names
 
@@ -135,7 +137,7 @@ class Run(HandOptions):
         return about(self, self.controller, calibration, limits) | {
             "object": held.object[0],
             "palm": held.palm,
-            "scene": to_plain(held),
+            "scene": {name: v for name, v in to_plain(held).items() if name not in CLOCK},
             "rate_hz": 1.0 / period,
             "seed": self.seed,
         }

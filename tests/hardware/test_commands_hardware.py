@@ -75,7 +75,7 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["run", "igm", "--emulate", "--object", "cube", "sphere"], "expected one object"),
         (
             ["run", "sine", "--emulate", "--object-mass", "0.2", "--push-force", "1"],
-            "--object-mass, --push-force is of an object; --object is none",
+            "--object-mass, --push-force: the hand is empty",
         ),
         (
             ["run", "sine", "--push-force", "1", "--joint-noise", "0.1", "--action-latency", "0.1"],

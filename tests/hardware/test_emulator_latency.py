@@ -44,6 +44,7 @@ def reference(emulator: Emulator) -> np.ndarray:
 def test_a_goal_takes_effect_after_the_latency(late: Emulator, bus: Bus) -> None:
     bus.write(R.TORQUE_ENABLE, 1)
     bus.write(R.GOAL_POSITION, np.pi + 0.1)
+    bus.read(R.GOAL_POSITION)  # the writes have arrived
     late.advance(0.048)
     assert np.array_equal(reference(late), np.zeros(3))
     late.advance(0.004)

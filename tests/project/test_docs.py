@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(path for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9.-]*[a-z0-9]")
 FENCE = re.compile(r"^```python\n(.*?)^```$", re.M | re.S)
 
 
@@ -50,3 +51,29 @@ def test_links_between_files_lead_somewhere() -> None:
         and not target.startswith("out/")
         and not (page.parent / target).exists()
     ] == []
+
+
+def test_options_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("dynamixel_sdk", reason="the extra 'hardware' is not installed")
+    from dexctl.cli import main
+    from dexctl.cli.commands import commands
+    from hardware.cli import COMMANDS
+
+    names = ["", *(name for name in commands() if name != "hardware")]
+    known: dict[str, set[str]] = {}
+    for name in [*names, *(f"hardware {name}" for name in COMMANDS)]:
+        assert main([*name.split(), "--help"]) == 0
+        known[name] = set(OPTION.findall(capsys.readouterr().out))
+    every = set().union(*known.values())
+    every |= {option.partition(".")[0] for option in every}  # "under `--env`"
+    wrong = []
+    for page in PAGES:
+        text = page.read_text().replace("\\\n", " ")
+        wrong += [f"{page.name}: {option}" for option in OPTION.findall(text) if option not in every]
+        for name, rest in re.findall(r"dexctl (hardware [a-z]+|[a-z-]+)\b([^`\n]*)", text):
+            wrong += [
+                f"{page.name}: dexctl {name} {option}"
+                for option in OPTION.findall(rest)
+                if name in known and option not in known[name]
+            ]
+    assert wrong == []

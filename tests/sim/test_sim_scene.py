@@ -75,6 +75,15 @@ def test_object_size_and_inertia() -> None:
         np.testing.assert_allclose(inertia, inertia[0], rtol=1e-3)  # as a sphere's: isotropic
 
 
+def test_friction_is_that_of_object_and_fingertips() -> None:
+    assert Scene.build("dex5", friction=0.3).friction() == 1.0  # the fingertips'; the larger counts
+    slippery, rough = (Scene.build("dex5", friction=value) for value in (0.3, 1.5))
+    assert rough.friction() == 1.5
+    own = slippery.model.geom_bodyid == slippery.model.body("object").id
+    slippery.model.geom_priority[own] = 1
+    assert slippery.friction() == 0.3
+
+
 def test_a_mesh_of_the_users(tmp_path: Path) -> None:
     path = tmp_path / "box.stl"
     write_box_stl(path, (0.2, 0.2, 0.1), corner=0.7)

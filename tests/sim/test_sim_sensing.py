@@ -94,7 +94,8 @@ def test_what_is_sensed_is_late() -> None:
     assert [one.q[0, 0] for one in told] == pytest.approx([0.0, 0.0, 0.0, 0.1, 0.2])
     assert [one.q_target[0, 0] for one in told] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
     assert [np.asarray(one.time)[0] for one in told] == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2])
-    assert [np.asarray(one.age)[0] for one in told] == pytest.approx([0.005, 0.05, 0.1, 0.1, 0.1])
+    ages = [np.asarray(one.age)[0] for one in told]  # it was 0.005 s old when it was new
+    assert ages == pytest.approx([0.005, 0.055, 0.105, 0.105, 0.105])
 
 
 def test_a_new_episode_forgets_the_old_one() -> None:

@@ -193,6 +193,22 @@ def test_it_starts_from_the_states_of_the_file(starts: SceneConfig) -> None:
         assert set(drawn) == {0, 1}
 
 
+def test_given_grasps_begin_at_rest(starts: SceneConfig) -> None:
+    assert starts.initial_states is not None
+    given = GraspStates.load(starts.initial_states)
+    with Simulation(starts, 3, seed=1) as sim:
+        drive(sim, 2)
+        before = sim.state
+        sim.place(given, [1, 0, 1], np.array([True, True, False]))
+        np.testing.assert_array_equal(sim.state.q[:2], given.q[[1, 0]])
+        np.testing.assert_array_equal(sim.state.q_target[:2], given.q_target[[1, 0]])
+        np.testing.assert_array_equal(sim.state.q[2], before.q[2])
+        assert np.asarray(sim.state.time).tolist() == pytest.approx([0.0, 0.0, 0.1])
+        other = replace(given, object=np.array(["cylinder", "cube"]))
+        with pytest.raises(InvalidInput, match="state 1 is of the object 'cube'; env"):
+            sim.place(other, [0, 0, 1])
+
+
 def test_several_objects_share_out_the_environments() -> None:
     with Simulation(SceneConfig(object=("cube", "sphere"), threads=1), 3) as sim:
         assert sim.objects == ("cube", "cube", "sphere")
