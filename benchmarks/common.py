@@ -148,13 +148,14 @@ def trials(
         return run(controller, sim, seconds)
 
 
-def earlier(name: str, given: Settings) -> list[dict[str, Any]]:
-    """Rows that an interrupted run of the same settings has left."""
+def earlier(
+    name: str, given: Settings, fixed: Sequence[str] = ("seed", "trials", "seconds")
+) -> list[dict[str, Any]]:
+    """Rows that an interrupted run has left, where it had the same ``fixed`` settings."""
     path = given.out / f"{name}.json"
     if not (given.resume and path.is_file()):
         return []
     found = json.loads(path.read_text())
-    fixed = ("seed", "trials", "seconds")
     same = all(found["settings"][key] == getattr(given, key) for key in fixed)
     return found["trials"] if same else []
 

@@ -26,13 +26,14 @@ import stable_baselines3
 import torch
 from common import THREADS, Figure, Settings, progress, ratio, settings, write
 from learner_profile import PARTS, profiled_ours, profiled_stock
-from stock_sac import stock_sac
+from stock import stock_sac
 
 from dexctl.settings import to_plain
 from dexctl.sim.scene_config import SceneConfig
 from learning.algorithms.config import SACConfig
 from learning.config import TrainConfig
 from learning.envs.config import EnvConfig
+from learning.envs.vector import make_vector
 from learning.exploration.config import GuidanceConfig, Method
 from learning.training.run_folder import RunFolder
 from learning.training.trainer import Trainer
@@ -84,7 +85,8 @@ class Stock:
     """stable-baselines3's side."""
 
     def __init__(self, of: TrainConfig, threads: int) -> None:
-        self.agent, self.threads = stock_sac(of), threads
+        env = make_vector(of.env, of.num_envs, of.seed)
+        self.agent, self.threads = stock_sac(of.sac, env, of.seed), threads
 
     def advance(self, steps: int) -> None:
         """Train for ``steps`` steps of all environments."""

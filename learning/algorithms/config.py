@@ -135,7 +135,10 @@ class PPOConfig:
     target_kl: float | None = 0.01
     """The rate adapts so that a minibatch changes the policy by about this; None: it does not."""
     clip: float = 0.2
-    """How far the ratio of densities and the values go from where they were, at most."""
+    """How far the ratio of densities goes from 1, at most."""
+    value_clip: float | None = None
+    """How far values go from where they were in an update, at most, in the unit of returns; None:
+    as far as they may. It suits returns of about unit size only."""
     value_weight: float = 1.0
     """Weight of the critic's loss, as far as the clipped gradient notices it."""
     entropy_coefficient: float = 0.0
@@ -157,8 +160,9 @@ class PPOConfig:
             not_negative=("entropy_coefficient",),
             fractions=("gamma", "gae_lambda"),
         )
-        if self.target_kl is not None:
-            check_numbers(self, positive=("target_kl",))
+        for name in ("target_kl", "value_clip"):
+            if getattr(self, name) is not None:
+                check_numbers(self, positive=(name,))
         if self.learning_rate_end is not None:
             check_numbers(self, not_negative=("learning_rate_end",))
             if self.target_kl is not None:

@@ -98,12 +98,19 @@ def clipped_policy_loss(
     return -torch.minimum(ratio * advantage, clipped * advantage).mean()
 
 
-def clipped_value_loss(
-    value: torch.Tensor, old_value: torch.Tensor, returns: torch.Tensor, clip: float
+def value_loss(
+    value: torch.Tensor, old_value: torch.Tensor, returns: torch.Tensor, clip: float | None = None
 ) -> torch.Tensor:
-    """Mean of the greater squared error: of the value, or of one that moved by ``clip`` at most."""
-    near = old_value + (value - old_value).clamp(-clip, clip)
-    return torch.maximum((value - returns) ** 2, (near - returns) ** 2).mean()
+    """Mean squared error; with ``clip`` the greater one: of the value, or of one that moved by it.
+
+    A value that has moved so far towards its return is then held back. So ``clip`` is in the unit
+    of returns, and where these are large, values need many updates to get there.
+    """
+    error = (value - returns) ** 2
+    if clip is not None:
+        near = old_value + (value - old_value).clamp(-clip, clip)
+        error = torch.maximum(error, (near - returns) ** 2)
+    return error.mean()
 
 
 def adapted_rate(rate: float, kl: float, target: float) -> float:

@@ -21,9 +21,9 @@ from learning.algorithms.config import PPOConfig
 from learning.algorithms.losses import (
     adapted_rate,
     clipped_policy_loss,
-    clipped_value_loss,
     gaussian_kl,
     gaussian_log_prob,
+    value_loss,
 )
 from learning.algorithms.networks import layers, numbers, restore
 from learning.algorithms.normalisation import Normalisation
@@ -192,7 +192,7 @@ class PPO(Algorithm):
             log_prob - batch["log_prob"], batch["advantage"], config.clip
         )
         value = self.critic(batch["critic"])[0, :, 0]
-        critic_loss = clipped_value_loss(value, batch["value"], batch["returns"], config.clip)
+        critic_loss = value_loss(value, batch["value"], batch["returns"], config.value_clip)
         entropy = (self.log_std + 1.4189385332046727).sum()
         loss = actor_loss - config.entropy_coefficient * entropy
         self.optimizer.zero_grad()

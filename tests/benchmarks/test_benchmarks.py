@@ -31,6 +31,10 @@ RUNS: dict[str, list[str]] = {
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
         *("--variants", "fast", "no_cloning"),
     ],
+    "algorithms.py": [
+        *("--seeds", "1", "--share", "0.001", "--episodes", "2"),
+        *("--only", "pendulum_sac", "hand_ppo"),
+    ],
     "bus.py": ["--cycles", "20", "--rounds", "2"],
     "hardware_loop.py": ["--cycles", "20", "--rounds", "2", "--seconds", "0.5", *PATIENT],
     "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
@@ -51,7 +55,8 @@ def run(script: str, *arguments: str | Path, **environment: str) -> subprocess.C
 
 def test_every_script_is_run_here() -> None:
     scripts = {path.name for path in FOLDER.glob("*.py")} - {
-        "common.py", "readme.py", "learner_profile.py", "learning_curves.py", "stock_sac.py",
+        "common.py", "readme.py", "learner_profile.py", "learning_curves.py", "sides.py",
+        "stock.py",
     }  # fmt: skip
     assert scripts == set(RUNS)
 
@@ -61,9 +66,9 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     arguments = [*RUNS[script], "--out", tmp_path]
     if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
-    if script in ("learner.py", "learned.py", "learning_ablation.py"):
+    if script in ("learner.py", "learned.py", "learning_ablation.py", "algorithms.py"):
         pytest.importorskip("torch", reason="needs the extra 'learning'")
-    if script == "learner.py":
+    if script in ("learner.py", "algorithms.py"):
         pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
     if script == "learning_ablation.py":
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]

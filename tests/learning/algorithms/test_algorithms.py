@@ -204,6 +204,7 @@ def test_bad_sizes(name: str, options: dict[str, Any], message: str) -> None:
         (PPOConfig, {"epochs": 0}, "epochs is 0"),
         (PPOConfig, {"gae_lambda": 2.0}, "gae_lambda is 2.0"),
         (PPOConfig, {"target_kl": 0.0}, "target_kl is 0.0"),
+        (PPOConfig, {"value_clip": -0.2}, "value_clip is -0.2"),
         (PPOConfig, {"learning_rate_end": 0.0}, "expected None where the learning rate adapts"),
         (Cloning, {"kind": "fast"}, "'fast'; known: likelihood, squared"),
         (Cloning, {"weight": "heavy"}, "'heavy'; known: value, equal, better"),

@@ -16,9 +16,9 @@ from learning.algorithms import PPO, PPOConfig, Transitions
 from learning.algorithms.losses import (
     adapted_rate,
     clipped_policy_loss,
-    clipped_value_loss,
     gaussian_kl,
     gaussian_log_prob,
+    value_loss,
 )
 from learning.algorithms.normalisation import Normalisation
 from learning.algorithms.rollout_buffer import advantages
@@ -63,8 +63,9 @@ def test_clipped_losses_by_hand() -> None:
     loss = clipped_policy_loss(ratio.log(), advantage, 0.2)
     assert float(loss) == pytest.approx(-(1.2 + 0.5 - 1.5 - 0.8) / 4)
     # moved from 1 to 2, clipped 1.2: errors to 3 are 1 and 3.24; to 1.2 they are 0.64 and 0
-    value = clipped_value_loss(torch.full((2,), 2.0), torch.ones(2), torch.tensor([3.0, 1.2]), 0.2)
-    assert float(value) == pytest.approx((3.24 + 0.64) / 2)
+    value, old, returns = torch.full((2,), 2.0), torch.ones(2), torch.tensor([3.0, 1.2])
+    assert float(value_loss(value, old, returns, 0.2)) == pytest.approx((3.24 + 0.64) / 2)
+    assert float(value_loss(value, old, returns)) == pytest.approx((1.0 + 0.64) / 2)
 
 
 def test_densities_by_hand() -> None:
@@ -97,6 +98,23 @@ def test_an_update_every_so_many_steps() -> None:
         step(fixed, rng)
         fixed.update(left=0.5)
     assert fixed.optimizer.param_groups[0]["lr"] == 1e-3  # left was 1 when the update was due
+
+
+def test_values_follow_rewards_of_any_size() -> None:
+    """A value may move further than the ratio of densities may, in whatever unit rewards are."""
+
+    def learned(**options: Any) -> np.ndarray:
+        agent = make(epochs=60, learning_rate=0.03, target_kl=None, max_gradient=1e3, **options)
+        observed, ended = np.zeros((3, 4), np.float32), np.ones(3, bool)
+        for _ in range(4):  # one update
+            action = agent.act(observed)
+            agent.observe(Transitions(observed, action, np.full(3, -10.0), observed, ended, ended))
+            agent.update()
+        with torch.no_grad():
+            return agent._value(agent._inputs(observed)["critic"])
+
+    assert learned() == pytest.approx(-10.0, abs=0.5)
+    assert np.abs(learned(value_clip=0.2)).max() < 3.0  # one of its own holds it back
 
 
 def test_groups_and_normalisation_go_into_the_layers() -> None:
