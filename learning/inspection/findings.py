@@ -223,7 +223,12 @@ def inspect(
         )
     trace, period = rollouts.trace, rollouts.period
     scene = rollouts.scene
-    grasps = examine(trace, scene, scene.friction(), progress=lambda share: tell("grasps", share))
+    grasps = examine(
+        trace,
+        scene,
+        friction=scene.friction(),
+        progress=lambda share: tell("grasps", share),
+    )
     drops = find_drops(trace, grasps, period, rule)
     examples = _examples(drops)
     wanted = np.zeros(trace.held.shape, bool)
