@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 # settings that are parameters of the simulator, and what it calls them
-_PARAMETERS = {"stiffness": "kp", "damping": "kv"}
+_PARAMETERS = {"object_friction": "friction", "stiffness": "kp", "damping": "kv"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +44,8 @@ class SceneConfig:
     """Width of the object [m]; none: what suits the hand."""
     object_mass: float = 0.1
     """Mass of the object [kg]."""
+    object_friction: float | None = None
+    """Sliding friction coefficient between object and fingertips; none: 1."""
     object_mesh: Path | None = None
     """STL or OBJ file of the object named mesh; its convex hull is what collides."""
     gravity: Vector = "up"
@@ -113,11 +115,12 @@ class SceneConfig:
             UnknownName: no such object.
             SimulationError: the hand does not hold the object.
         """
+        from dexctl.sim.parameters import set_on
         from dexctl.sim.scene import Scene
 
         self.check_objects()
         model = hands.load(self.hand) if hand is None else hand
-        return [
+        found = [
             Scene.build(
                 model,
                 name,
@@ -128,6 +131,9 @@ class SceneConfig:
             )
             for name in self.object
         ]
+        for scene in found:  # before they settle
+            set_on(scene, self.parameters)
+        return found
 
     @property
     def palm(self) -> str:
