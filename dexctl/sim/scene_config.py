@@ -39,7 +39,7 @@ class SceneConfig:
     hand: str = "dex5"
     """Name of the hand (`dexctl hands` lists them)."""
     object: tuple[str, ...] = ("cube",)
-    """Name of the object, or several that share out the environments of a batch evenly."""
+    """Name of the object, or of several; the environments of a batch are shared out among them."""
     object_size: float | None = None
     """Width of the object [m]; none: what suits the hand."""
     object_mass: float = 0.1
@@ -51,9 +51,9 @@ class SceneConfig:
     gravity: Vector = "up"
     """Which way the palm looks: up, down, or gravity as x,y,z [m/s^2]."""
     stiffness: float | None = None
-    """Of the joints' servos [N m/rad]; none: as the hand's file has it."""
+    """Stiffness of the joints' servos [N m/rad]; none: as the hand's file has it."""
     damping: float | None = None
-    """Of the joints' servos [N m s/rad]; none: as the hand's file has it."""
+    """Damping of the joints' servos [N m s/rad]; none: as the hand's file has it."""
     control_period: float = 0.05
     """Time of one control step [s]."""
     substeps: int = 10
@@ -61,12 +61,12 @@ class SceneConfig:
     initial_states: Path | None = None
     """File of grasp states that episodes start from; none: the settled grasp."""
     disturbance: float = 0.02
-    """Of the set-points at the start, standard deviation [rad]."""
+    """Standard deviation of the noise on the set-points at the start [rad]."""
     sensing: Annotated[Sensing, NESTED] = field(default_factory=Sensing)
     push: Annotated[Push, NESTED] = field(default_factory=Push)
     limits: Annotated[HandLimits, NESTED] = field(default_factory=HandLimits)
     threads: int | None = None
-    """Of the physics; none: every core."""
+    """How many threads step the physics; none: every core."""
 
     def __post_init__(self) -> None:
         if isinstance(self.object, str):
