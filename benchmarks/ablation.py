@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
-from common import PALMS, Settings, earlier, grid, outcome, progress, settings, trials, write
+from common import PALMS, Settings, measure_in_scenes, settings, trials
 
 import dexctl
 from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
-from dexctl.sim import SceneConfig
+from dexctl.sim import SceneConfig, Trace
 
 SCENES = tuple(product(("cube", "dodecahedron"), PALMS))
 Change = Callable[[CoordinatedGaitConfig], CoordinatedGaitConfig]
@@ -69,37 +68,24 @@ class Options(Settings):
     """Which."""
 
 
-def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> list[list[str]]:
-    """Write the result with the rows so far; the lines of its table."""
-    texts = {name: text for name, (text, _) in VARIANTS.items()}
-    header, lines = grid(rows, "variant", texts, SCENES)
-    table = {
-        "title": f"Coordinated gait with one ingredient taken away: median rotation in "
-        f"{given.seconds:g} s, share still holding (95 % interval), {given.trials} trials each",
-        "header": header,
-        "rows": lines,
-    }
-    write("ablation", given, [], [table], trials=rows, say=say)
-    return lines
-
-
 def main() -> None:
     given = settings(Options, __doc__)
     hand = dexctl.hands.load("dex5")
-    rows = earlier("ablation", given)
-    done = {(row["variant"], row["object"], row["palm"]) for row in rows}
-    for variant, key in product(given.variants, SCENES):
-        if (variant, *key) in done:
-            continue
-        change = VARIANTS[variant][1]
-        controller = CoordinatedGait(hand, change(CoordinatedGaitConfig()))
-        config = SceneConfig(object=(key[0],), gravity=key[1])
-        trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
-        row = {"variant": variant, "object": key[0], "palm": key[1], **outcome(trace)}
-        rows.append(row)
-        lines = save(rows, given, say=False)
-        progress(f"{variant}, {key[0]}, palm {key[1]}: {lines[-1][1 + SCENES.index(key)]}")
-    save(rows, given, say=True)
+
+    def measure(variant: str, config: SceneConfig) -> Trace:
+        controller = CoordinatedGait(hand, VARIANTS[variant][1](CoordinatedGaitConfig()))
+        return trials(controller, config, given.seconds, given.trials, seed=given.seed)
+
+    measure_in_scenes(
+        "ablation",
+        given,
+        "variant",
+        {name: text for name, (text, _) in VARIANTS.items()},
+        given.variants,
+        SCENES,
+        "Coordinated gait with one ingredient taken away",
+        measure,
+    )
 
 
 if __name__ == "__main__":

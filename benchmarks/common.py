@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -177,6 +178,53 @@ def grid(
         if any(row[key] == name for row in rows)
     ]
     return ["", *(f"{name}, palm {palm}" for name, palm in scenes)], lines
+
+
+def measure_in_scenes(
+    name: str,
+    given: Any,
+    column: str,
+    texts: dict[str, str],
+    chosen: Sequence[str],
+    scenes: Sequence[tuple[str, str]],
+    title: str,
+    measure: Callable[[str, SceneConfig], Trace],
+) -> None:
+    """One row for each one chosen and each scene; written after every row.
+
+    Args:
+        name: of the script.
+        given: its settings, with trials and seconds.
+        column: what a row calls the one that was measured.
+        texts: name of one: what people read.
+        chosen: those that are measured.
+        scenes: (object, palm).
+        title: of the table, before its "median rotation in ...".
+        measure: (one, scene) -> its trials.
+    """
+    rows = earlier(name, given)
+
+    def save(*, say: bool) -> list[list[str]]:
+        header, lines = grid(rows, column, texts, scenes)
+        table = {
+            "title": f"{title}: median rotation in {given.seconds:g} s, share still holding "
+            f"(95 % interval), {given.trials} trials each",
+            "header": header,
+            "rows": lines,
+        }
+        write(name, given, [], [table], trials=rows, say=say)
+        return lines
+
+    done = {(row[column], row["object"], row["palm"]) for row in rows}
+    for one, (turned, palm) in product(chosen, scenes):
+        if (one, turned, palm) in done:
+            continue
+        trace = measure(one, SceneConfig(object=(turned,), gravity=palm))
+        rows.append({column: one, "object": turned, "palm": palm, **outcome(trace)})
+        (line,) = (line for line in save(say=False) if line[0] == texts[one])
+        cell = line[1 + scenes.index((turned, palm))]
+        progress(f"{one}, {turned}, palm {palm}: {cell}")
+    save(say=True)
 
 
 def controls(scene: Scene, q_target: np.ndarray, substeps: int) -> np.ndarray:

@@ -23,13 +23,14 @@ ROOT = Path(__file__).resolve().parents[1]
 # in the order of the tables, each with the heading of its own
 HEADINGS = {
     "igm_latency": "In-grasp step",
+    "compiled_or_plain": "In-grasp step, compiled or plain",
     "gait_batch": "A batch of hands",
     "simulator": "Simulator",
     "in_grasp": "In-grasp manipulation",
     "gaits": "Gaits",
     "learned": "Learned gaits",
     "learner": "Training throughput",
-    "algorithms": "Algorithms",
+    "algorithms": "Algorithms and their peers",
     "hardware_grasp": "Simulator and servo bus",
     "hardware_loop": "Runner of the servo hand",
     "bus": "Servo bus",

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import product
-from typing import Any
 
-from common import Settings, earlier, grid, outcome, progress, settings, trials, write
+from common import Settings, measure_in_scenes, settings, trials
 from numpy.typing import ArrayLike
 
 import dexctl
 from dexctl.controller import Controller
 from dexctl.gait import CoordinatedGait
-from dexctl.sim import SceneConfig, Sensing
+from dexctl.sim import SceneConfig, Sensing, Trace
 from dexctl.state import Floats, GraspState
 
 
@@ -86,43 +84,31 @@ class Options(Settings):
     """Which."""
 
 
-def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> list[list[str]]:
-    """Write the result with the rows so far; the lines of its table."""
-    texts = {name: condition.text for name, condition in CONDITIONS.items()}
-    header, lines = grid(rows, "condition", texts, SCENES)
-    table = {
-        "title": f"Coordinated gait under other conditions: median rotation in "
-        f"{given.seconds:g} s, share still holding (95 % interval), {given.trials} trials each",
-        "header": header,
-        "rows": lines,
-    }
-    write("robustness", given, [], [table], trials=rows, say=say)
-    return lines
-
-
 def main() -> None:
     given = settings(Options, __doc__)
     hand = dexctl.hands.load("dex5")
-    rows = earlier("robustness", given)
-    done = {(row["condition"], row["object"], row["palm"]) for row in rows}
-    for chosen, key in product(given.conditions, SCENES):
-        if (chosen, *key) in done:
-            continue
-        condition = CONDITIONS[chosen]
-        gait = CoordinatedGait(hand)
-        trace = trials(
+
+    def measure(chosen: str, config: SceneConfig) -> Trace:
+        condition, gait = CONDITIONS[chosen], CoordinatedGait(hand)
+        return trials(
             gait if condition.tracked else Untracked(gait),
-            SceneConfig(object=(key[0],), gravity=key[1], sensing=condition.sensing),
+            replace(config, sensing=condition.sensing),
             given.seconds,
             given.trials,
             seed=given.seed,
             parameters=condition.parameters,
         )
-        row = {"condition": chosen, "object": key[0], "palm": key[1], **outcome(trace)}
-        rows.append(row)
-        lines = save(rows, given, say=False)
-        progress(f"{chosen}, {key[0]}, palm {key[1]}: {lines[-1][1 + SCENES.index(key)]}")
-    save(rows, given, say=True)
+
+    measure_in_scenes(
+        "robustness",
+        given,
+        "condition",
+        {name: condition.text for name, condition in CONDITIONS.items()},
+        given.conditions,
+        SCENES,
+        "Coordinated gait under other conditions",
+        measure,
+    )
 
 
 if __name__ == "__main__":

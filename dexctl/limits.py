@@ -31,9 +31,9 @@ class HandLimits:
     """
 
     speed_limit: float | None = None
-    """Fastest set-point [rad/s]; None for no limit."""
+    """Fastest set-point [rad/s]; none: no limit."""
     torque_limit: float | None = None
-    """Largest joint torque [N m]; None for no limit but the hand's own."""
+    """Largest joint torque [N m]; none: no limit but the hand's own."""
     action_latency: float = 0.0
     """Time from a set-point to its effect [s], at most 10."""
 

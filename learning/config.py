@@ -42,16 +42,16 @@ class TrainConfig:
     steps: int = 1_000_000
     """Environment steps, of all environments together."""
     seed: int = 0
-    """Of everything; the same seed and settings give the same policy on the same machine."""
+    """Seed of everything; the same seed and settings give the same policy on the same machine."""
     num_envs: int = 128
     """Environments stepped together."""
     overlap: bool = True
-    """Let the environments step while the updates run; a policy then acts that is the updates of
-    one step older."""
+    """Whether the environments step while the updates run; the policy that acts is then older by
+    the updates of one step."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Of the updates; auto takes a GPU where there is one."""
+    """Where the updates run; auto takes a GPU where there is one."""
     torch_threads: int = 1
-    """Threads of the updates."""
+    """How many threads the updates use."""
     log_every: int = 10_000
     """Steps between two rows of progress.csv and TensorBoard."""
     checkpoint_every: int = 100_000
@@ -139,10 +139,8 @@ def recipe(name: str, method: str | None = None) -> TrainConfig:
     """
     if name not in RECIPES:
         raise UnknownName("recipe", name, RECIPES)
-    made = RECIPES[name]()
-    if method is None:
-        return made
-    guidance, usual = replace(made.guidance, method=method), GuidanceConfig()
+    made, usual = RECIPES[name](), GuidanceConfig()
+    guidance = made.guidance if method is None else replace(made.guidance, method=method)
     if not guidance.imitates:
         guidance = replace(
             guidance,

@@ -33,7 +33,7 @@ class CheckGrasp:
     """
 
     num_envs: int | None = None
-    """How many grasps, disturbed where they are several; of a file the first so many. None: one,
+    """How many grasps, disturbed where they are several; of a file the first so many; none: one,
     as it settles, or all of the file."""
     seconds: float = 2.0
     """How long the dynamic check holds the set-points [s]."""

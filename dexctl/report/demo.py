@@ -22,8 +22,8 @@ HEADINGS = (
     ("time held", "[s]"),
     ("mean in", "touch"),
     ("largest", "residual"),
-    ("latency", "median", "[ms]"),
-    ("latency", "p99", "[ms]"),
+    ("call", "median", "[ms]"),
+    ("call", "p99", "[ms]"),
 )
 """Lines of each column's heading."""
 
@@ -55,8 +55,8 @@ def row(trial: Trial) -> tuple[str, ...]:
         f"{found.time_held:.1f}" + (", dropped" if found.dropped else ""),
         f"{found.mean_contacts:.1f}",
         words.number(found.largest_residual, 3),
-        f"{1e3 * found.latency_median:.2f}",
-        f"{1e3 * found.latency_p99:.2f}",
+        f"{1e3 * found.act_time_median:.2f}",
+        f"{1e3 * found.act_time_p99:.2f}",
     )
 
 
@@ -96,7 +96,7 @@ def build(
             *(html.paragraph(remark, "note") for remark in remarks),
             _overview(trials, traces),
             *(_trial_section(trial) for trial in trials.values()),
-            _latency(traces, config.control_period),
+            _act_time(traces, config.control_period),
             conditions(config, command=command, machine=machine, seed=seed, scene=scene, axis=axis),
         ]
     title = f"{config.hand} turns a {scene.object} {words.about(axis)}"
@@ -116,7 +116,7 @@ def _overview(trials: Mapping[str, Trial], traces: Mapping[str, Trace]) -> str:
             "Rotation is the unwrapped angle about the axis, up to the drop (centre more than "
             "0.05 m from its start) or the end. Fingertips in touch is the mean over the time "
             "held. The residual is the norm of the wrench that the stability QP leaves, in units "
-            "of the grip force. Latency is the wall time of one call for one hand. This is one "
+            "of the grip force. A call is one of the controller, for one hand, in wall time. This is one "
             "trial of each controller: `dexctl rotate` runs many.",
             "note",
         ),
@@ -149,12 +149,12 @@ def _trial_section(trial: Trial) -> str:
     return html.section(f"{entry.title[0].upper()}{entry.title[1:]}", *parts)
 
 
-def _latency(traces: Mapping[str, Trace], control_period: float) -> str:
+def _act_time(traces: Mapping[str, Trace], control_period: float) -> str:
     return html.section(
-        "Controller latency",
+        "Time of a call",
         html.plot(
-            figures.latency_figure(traces, control_period),
-            "Distribution of the controllers' latency",
+            figures.act_time_figure(traces, control_period),
+            "Distribution of the time that a call takes",
             "Share of the calls that took at most so long, one hand, measured during the trials; "
             "other work on the machine shows in the tail.",
         ),

@@ -151,7 +151,7 @@ def switching_fingers(trace: Trace, index: int = 0) -> Bools | None:
     return finger[:, None] == np.arange(count)
 
 
-def latency_figure(traces: Mapping[str, Trace], control_period: float) -> Figure:
+def act_time_figure(traces: Mapping[str, Trace], control_period: float) -> Figure:
     """Share of the controller's calls that took at most so long."""
     figure = new_figure(WIDTH, 2.8)
     axes = figure.add_subplot()

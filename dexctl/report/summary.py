@@ -26,7 +26,7 @@ class TrialSummary:
         mean_contacts: fingertips in touch, averaged over the time held.
         largest_residual: of the stability QP over the time held, forces in shares of the grip;
             None for a controller that solves none.
-        latency_median, latency_p99: of one call of the controller [s].
+        act_time_median, act_time_p99: of one call of the controller [s].
     """
 
     rotation: float
@@ -34,16 +34,16 @@ class TrialSummary:
     dropped: bool
     mean_contacts: float
     largest_residual: float | None
-    latency_median: float
-    latency_p99: float
+    act_time_median: float
+    act_time_p99: float
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; units are in the names."""
         names = {
             "rotation": "rotation_rad",
             "time_held": "time_held_s",
-            "latency_median": "latency_median_s",
-            "latency_p99": "latency_p99_s",
+            "act_time_median": "act_time_median_s",
+            "act_time_p99": "act_time_p99_s",
         }
         return {names.get(name, name): value for name, value in asdict(self).items()}
 
@@ -61,8 +61,8 @@ def summarise(trace: Trace, index: int = 0) -> TrialSummary:
         dropped=not held[-1],
         mean_contacts=float(column(trace.in_contact, index, 1)[held].sum(axis=-1).mean()),
         largest_residual=largest,
-        latency_median=float(np.median(trace.act_seconds)),
-        latency_p99=float(np.percentile(trace.act_seconds, 99)),
+        act_time_median=float(np.median(trace.act_seconds)),
+        act_time_p99=float(np.percentile(trace.act_seconds, 99)),
     )
 
 
@@ -95,7 +95,7 @@ class BatchSummary:
         full_turn: the share that turned by 2 pi or more before any drop.
         diverged: how many simulations broke down (they count as dropped).
         mean_contacts: fingertips in touch over the time held, averaged over trials.
-        latency_median, latency_p99: of one call of the controller for all N hands [s].
+        act_time_median, act_time_p99: of one call of the controller for all N hands [s].
     """
 
     rotation: Floats
@@ -104,8 +104,8 @@ class BatchSummary:
     full_turn: Share
     diverged: int
     mean_contacts: float
-    latency_median: float
-    latency_p99: float
+    act_time_median: float
+    act_time_p99: float
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; units are in the names."""
@@ -117,8 +117,8 @@ class BatchSummary:
             "full_turn": self.full_turn.as_dict(),
             "diverged": self.diverged,
             "mean_contacts": self.mean_contacts,
-            "latency_median_s": self.latency_median,
-            "latency_p99_s": self.latency_p99,
+            "act_time_median_s": self.act_time_median,
+            "act_time_p99_s": self.act_time_p99,
             "trial_rotation_rad": self.rotation,
             "trial_time_held_s": self.time_held,
         }
@@ -138,8 +138,8 @@ def summarise_batch(trace: Trace) -> BatchSummary:
         full_turn=share_of(trace.final_rotation >= FULL_TURN),
         diverged=int(trace.diverged[-1].sum()),
         mean_contacts=float(each.mean()),
-        latency_median=float(np.median(trace.act_seconds)),
-        latency_p99=float(np.percentile(trace.act_seconds, 99)),
+        act_time_median=float(np.median(trace.act_seconds)),
+        act_time_p99=float(np.percentile(trace.act_seconds, 99)),
     )
 
 

@@ -53,6 +53,18 @@ _SETTERS: dict[str, tuple[Callable[[Scene, mujoco.MjModel, float], None], bool]]
 }
 
 
+def set_on(scene: Scene, parameters: Mapping[str, float]) -> None:
+    """Give a scene itself other parameters, those of `ParameterSet`, before it is simulated.
+
+    Raises:
+        UnknownName, InvalidInput: no such parameter, or a value out of range.
+    """
+    for name, value in parameters.items():
+        setter, _ = _SETTERS[name]
+        setter(scene, scene.model, float(_checked(name, value, 1)[0]))
+    scene.find_servos()
+
+
 class ParameterSet:
     """The models that a batch is stepped with: one for all until parameters differ."""
 
@@ -70,7 +82,7 @@ class ParameterSet:
 
     def set(self, parameters: Mapping[str, ArrayLike]) -> None:
         """Set some parameters; the others stay."""
-        checked = {name: self._check(name, value) for name, value in parameters.items()}
+        checked = {name: _checked(name, value, self._count) for name, value in parameters.items()}
         if not checked:
             return
         if self.models[0] is self._base:
@@ -90,19 +102,19 @@ class ParameterSet:
             self.models, self._values = [self._base] * self._count, {}
             self.set(values)
 
-    def _check(self, name: str, value: ArrayLike) -> Floats:
-        if name not in _SETTERS:
-            raise UnknownName("parameter", name, _SETTERS)
-        values = np.asarray(value, float)
-        if values.shape not in ((), (self._count,)):
-            raise InvalidInput(
-                f"{name} has shape {values.shape}; expected () or ({self._count},), one for each "
-                "environment"
-            )
-        zero = _SETTERS[name][1]
-        good = np.isfinite(values) & ((values >= 0) if zero else (values > 0))
-        if not good.all():
-            bad = np.atleast_1d(values)[~np.atleast_1d(good)][0]
-            bound = ">= 0" if zero else "> 0"
-            raise InvalidInput(f"{name} is {bad}; expected finite numbers {bound}")
-        return np.broadcast_to(values, (self._count,)).copy()
+
+def _checked(name: str, value: ArrayLike, count: int) -> Floats:
+    if name not in _SETTERS:
+        raise UnknownName("parameter", name, _SETTERS)
+    values = np.asarray(value, float)
+    if values.shape not in ((), (count,)):
+        raise InvalidInput(
+            f"{name} has shape {values.shape}; expected () or ({count},), one for each environment"
+        )
+    zero = _SETTERS[name][1]
+    good = np.isfinite(values) & ((values >= 0) if zero else (values > 0))
+    if not good.all():
+        bad = np.atleast_1d(values)[~np.atleast_1d(good)][0]
+        bound = ">= 0" if zero else "> 0"
+        raise InvalidInput(f"{name} is {bad}; expected finite numbers {bound}")
+    return np.broadcast_to(values, (count,)).copy()

@@ -74,7 +74,7 @@ class Scene:
         lean.compiler.discardvisual = True
         self.model = _compile(lean, hand)
         self._find_joints()
-        self._find_servos()
+        self.find_servos()
 
     @classmethod
     def build(
@@ -207,8 +207,11 @@ class Scene:
         self.object_qpos = slice(int(free.qposadr[0]), int(free.qposadr[0]) + 7)
         self.object_qvel = slice(int(free.dofadr[0]), int(free.dofadr[0]) + 6)
 
-    def _find_servos(self) -> None:
-        """The servo of each joint: a position actuator, force = kp (ctrl - gear q) - kv ..."""
+    def find_servos(self) -> None:
+        """The servo of each joint: a position actuator, force = kp (ctrl - gear q) - kv ...
+
+        To be called again where their gains were changed.
+        """
         model, hand = self.model, self.hand
         servo_of = {}
         for a in range(model.nu):

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from dexctl.sim.scene import Scene
 
 
+# settings that are parameters of the simulator, and what it calls them
+_PARAMETERS = {"object_friction": "friction", "stiffness": "kp", "damping": "kv"}
+
+
 @dataclass(frozen=True, kw_only=True)
 class SceneConfig:
     """A hand with an object, as it is simulated.
@@ -35,19 +39,21 @@ class SceneConfig:
     hand: str = "dex5"
     """Name of the hand (`dexctl hands` lists them)."""
     object: tuple[str, ...] = ("cube",)
-    """Name of the object, or several that share out the environments of a batch evenly."""
+    """Name of the object, or of several; the environments of a batch are shared out among them."""
     object_size: float | None = None
     """Width of the object [m]; none: what suits the hand."""
     object_mass: float = 0.1
     """Mass of the object [kg]."""
+    object_friction: float | None = None
+    """Sliding friction coefficient between object and fingertips; none: 1."""
     object_mesh: Path | None = None
     """STL or OBJ file of the object named mesh; its convex hull is what collides."""
     gravity: Vector = "up"
     """Which way the palm looks: up, down, or gravity as x,y,z [m/s^2]."""
     stiffness: float | None = None
-    """Of the joints' servos [N m/rad]; none: as the hand's file has it."""
+    """Stiffness of the joints' servos [N m/rad]; none: as the hand's file has it."""
     damping: float | None = None
-    """Of the joints' servos [N m s/rad]; none: as the hand's file has it."""
+    """Damping of the joints' servos [N m s/rad]; none: as the hand's file has it."""
     control_period: float = 0.05
     """Time of one control step [s]."""
     substeps: int = 10
@@ -55,12 +61,12 @@ class SceneConfig:
     initial_states: Path | None = None
     """File of grasp states that episodes start from; none: the settled grasp."""
     disturbance: float = 0.02
-    """Of the set-points at the start, standard deviation [rad]."""
+    """Standard deviation of the noise on the set-points at the start [rad]."""
     sensing: Annotated[Sensing, NESTED] = field(default_factory=Sensing)
     push: Annotated[Push, NESTED] = field(default_factory=Push)
     limits: Annotated[HandLimits, NESTED] = field(default_factory=HandLimits)
     threads: int | None = None
-    """Of the physics; none: every core."""
+    """How many threads step the physics; none: every core."""
 
     def __post_init__(self) -> None:
         if isinstance(self.object, str):
@@ -73,11 +79,17 @@ class SceneConfig:
             self,
             positive=("object_mass", "control_period"),
             not_negative=("disturbance",),
-            optional=("object_size", "stiffness", "damping"),
+            optional=("object_size", *_PARAMETERS),
         )
         check_whole(self, substeps=1)
         if self.threads is not None:
             check_whole(self, threads=1)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Of the simulator, by its own names; what is not said stays as the files have it."""
+        found = {name: getattr(self, setting) for setting, name in _PARAMETERS.items()}
+        return {name: value for name, value in found.items() if value is not None}
 
     def undisturbed(self) -> SceneConfig:
         """The same without noise, latency of the sensors, pushes and given starts."""
@@ -103,11 +115,12 @@ class SceneConfig:
             UnknownName: no such object.
             SimulationError: the hand does not hold the object.
         """
+        from dexctl.sim.parameters import set_on
         from dexctl.sim.scene import Scene
 
         self.check_objects()
         model = hands.load(self.hand) if hand is None else hand
-        return [
+        found = [
             Scene.build(
                 model,
                 name,
@@ -118,6 +131,9 @@ class SceneConfig:
             )
             for name in self.object
         ]
+        for scene in found:  # before they settle
+            set_on(scene, self.parameters)
+        return found
 
     @property
     def palm(self) -> str:

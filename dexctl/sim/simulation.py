@@ -66,14 +66,11 @@ class Simulation:
             disturbance=config.disturbance,
             seed=seeds,
         )
-        given = {"kp": config.stiffness, "kv": config.damping}
-        self.sim.set_parameters(**{k: v for k, v in given.items() if v is not None})
         self.hand, self.num_envs, self.objects = self.sim.hand, count, self.sim.objects
         self.control_period, self.batch_shape = self.sim.control_period, (count,)
         self._plant: LimitedHand | GroupedSimulator = self.sim
         if config.limits:
-            stiffness = scenes[0].stiffness if config.stiffness is None else config.stiffness
-            self._plant = LimitedHand(self.sim, config.limits, stiffness)
+            self._plant = LimitedHand(self.sim, config.limits, scenes[0].stiffness)
         self._sampler = None
         if config.initial_states is not None:
             states = GraspStates.load(config.initial_states)

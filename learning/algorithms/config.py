@@ -23,7 +23,7 @@ class OffPolicyConfig:
     gradient_steps: int = 2
     """Updates for each step of all environments together."""
     learning_rate: float = 3e-4
-    """Of actor and critics."""
+    """Learning rate of actor and critics."""
     learning_rate_end: float | None = None
     """What the learning rate falls to, linearly; none: it stays."""
     decay_start: float = 0.5
@@ -129,11 +129,11 @@ class PPOConfig:
     minibatches: int = 4
     """Parts of a pass, each of which is one step of the optimiser."""
     learning_rate: float = 1e-3
-    """Of actor and critic; the first one where it adapts."""
+    """Learning rate of actor and critic; where it adapts, the first one."""
     learning_rate_end: float | None = None
-    """What the learning rate falls to, linearly over the training; None: it stays."""
+    """What the learning rate falls to, linearly over the training; none: it stays."""
     target_kl: float | None = 0.01
-    """The rate adapts so that a minibatch changes the policy by about this; None: it does not."""
+    """The rate adapts so that a minibatch changes the policy by about this; none: it does not."""
     clip: float = 0.2
     """How far the ratio of densities goes from 1, at most."""
     value_clip: float | None = None

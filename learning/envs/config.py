@@ -25,16 +25,16 @@ class EnvConfig:
     episode_steps: int = 1000
     """Control steps until an episode is truncated."""
     max_speed: float = 2.0
-    """Of set-points: what an action of 1 means [rad/s]."""
+    """Speed of the set-points that an action of 1 asks for [rad/s]."""
     max_lead: float = 0.25
     """Set-points are kept this close to the measured joints [rad]."""
     parts: tuple[str, ...] = DEFAULT_PARTS
-    """Of what the policy observes, in this order; also: touch, object_position,
-    object_quaternion."""
+    """What the policy observes, in this order; touch, object_position and object_quaternion may be
+    added."""
     critic_parts: tuple[str, ...] = ()
-    """Of what only critics observe beside it, without noise; none in the thesis."""
+    """What the critics observe beside it, without noise; the thesis has nothing here."""
     scaled: bool = False
-    """Bring observations to about unit size; the thesis has them in SI units."""
+    """Whether observations are brought to about unit size; the thesis has them in SI units."""
 
     def __post_init__(self) -> None:
         check_numbers(self, positive=("max_speed", "max_lead"))

@@ -34,7 +34,7 @@ class TurningConfig:
     max_tilt: float = 0.5
     """Tilt of the object up to which turning is rewarded [rad] (phi_max)."""
     min_fingertips: int = 3
-    """That must touch for turning to be rewarded."""
+    """Turning is rewarded where at least so many fingertips touch."""
     drop_distance: float = 0.05
     """The object is lost when its centre is this far from where it started [m]."""
 

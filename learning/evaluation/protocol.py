@@ -26,7 +26,7 @@ class Protocol:
     scene: Annotated[SceneConfig, NESTED] = field(default_factory=SceneConfig)
     task: Annotated[TurningConfig, NESTED] = field(default_factory=TurningConfig)
     episodes: int = 100
-    """How many, for each object."""
+    """How many episodes there are, for each object."""
     seconds: float = 60.0
     """Simulated time of each [s]."""
     seed: int = 0

@@ -31,16 +31,16 @@ class GuidanceConfig:
     hard_stop: int = 4_000_000
     """Controllers are asked no more from this environment step on; 4 million in the thesis."""
     temperature: float = 1.0
-    """Of VGE's choice by value; 1 is the thesis's."""
+    """Temperature of VGE's choice by value; 1 is the thesis's."""
     fixed_start: float = 1.0
     """FGE's share of the controllers at step 0; it falls linearly to 0 at the hard stop. The thesis
     gives no numbers."""
     beta: float = 0.1
     """Weight of behaviour cloning at step 0; it falls linearly."""
     beta_end: float = 0.0
-    """What it falls to; 0 in the thesis."""
+    """What the weight of behaviour cloning falls to; 0 in the thesis."""
     beta_stop: int | None = None
-    """The step at which it is there; none: the hard stop."""
+    """The step at which the weight has fallen; none: the hard stop."""
     cloned: Literal["acted", "visited"] | None = None
     """What the methods with bc imitate: acted, the controllers' actions in the steps that they did
     (the thesis's VGE+BC); visited, what the first controller would do in every state that comes

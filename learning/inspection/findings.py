@@ -222,7 +222,13 @@ def inspect(
             f"The policy was trained with {', '.join(subject.objects)}, not with {name}."
         )
     trace, period = rollouts.trace, rollouts.period
-    grasps = examine(trace, rollouts.scene, progress=lambda share: tell("grasps", share))
+    scene = rollouts.scene
+    grasps = examine(
+        trace,
+        scene,
+        friction=scene.friction(),
+        progress=lambda share: tell("grasps", share),
+    )
     drops = find_drops(trace, grasps, period, rule)
     examples = _examples(drops)
     wanted = np.zeros(trace.held.shape, bool)

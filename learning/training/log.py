@@ -33,7 +33,7 @@ COLUMNS = {
     "beta": "weight of behaviour cloning",
     "seconds": "training so far, interruptions left out [s]",
 }
-"""What the columns of the CSV file are; numbers that there are none of are empty."""
+"""What the columns of the CSV file are; a cell is empty where there is no number."""
 
 
 def columns(controllers: Sequence[str] = ()) -> dict[str, str]:

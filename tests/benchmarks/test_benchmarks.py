@@ -155,6 +155,8 @@ def test_figures_are_renewed_between_their_comments(tmp_path: Path) -> None:
     assert all(figure in everything for figure in shown)
     results = [json.loads(path.read_text()) for path in (FOLDER / "results").glob("*.json")]
     met = [figure["met"] for result in results for figure in result.get("figures", [])]
+    shown = [f"{result['benchmark']}.py" in everything for result in results if "figures" in result]
+    assert all(shown), "a benchmark is not in HEADINGS of benchmarks/readme.py"
     assert everything.count("**no**") == met.count(False)  # what falls short stays in sight
     assert run("readme.py", *given, "--check").returncode == 0
 

@@ -63,7 +63,7 @@ def test_summary_of_a_trial(batch: tuple[int, ...]) -> None:
     # rows 0 to 7 are held: five with two fingers, three with one
     assert found.mean_contacts == pytest.approx((5 * 2 + 3 * 1) / 8)
     assert found.largest_residual == pytest.approx(0.7)
-    assert found.latency_median == pytest.approx(5.5e-3)
+    assert found.act_time_median == pytest.approx(5.5e-3)
     assert found.as_dict()["rotation_rad"] == found.rotation
 
 

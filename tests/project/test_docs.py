@@ -69,7 +69,9 @@ def test_options_exist(capsys: pytest.CaptureFixture[str]) -> None:
     wrong = []
     for page in PAGES:
         text = page.read_text().replace("\\\n", " ")
-        wrong += [f"{page.name}: {option}" for option in OPTION.findall(text) if option not in every]
+        wrong += [
+            f"{page.name}: {option}" for option in OPTION.findall(text) if option not in every
+        ]
         for name, rest in re.findall(r"dexctl (hardware [a-z]+|[a-z-]+)\b([^`\n]*)", text):
             wrong += [
                 f"{page.name}: dexctl {name} {option}"

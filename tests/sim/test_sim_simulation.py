@@ -253,3 +253,13 @@ def test_bad_settings(settings: dict[str, object], error: type[Exception], said:
 def test_bad_numbers_of_environments(num_envs: object, seed: object, said: str) -> None:
     with pytest.raises(InvalidInput, match=said):
         Simulation(SceneConfig(object=("cube", "sphere")), num_envs, seed)  # type: ignore[arg-type]
+
+
+def test_the_scene_has_the_parameters_of_its_configuration() -> None:
+    config = SceneConfig(
+        object=("cylinder",), object_friction=0.5, stiffness=2.0, damping=0.1, threads=1
+    )
+    with Simulation(config, 2) as simulation:
+        np.testing.assert_allclose(simulation.sim.friction, 0.5)
+        np.testing.assert_allclose(simulation.sim.groups[0].scene.stiffness, 2.0)
+        assert simulation.state.in_contact.all()  # it settled with them

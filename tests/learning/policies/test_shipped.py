@@ -17,7 +17,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from learning import policies
 from learning.evaluation import evaluate, open_subject
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize("name", policies.names())

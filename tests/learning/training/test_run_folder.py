@@ -18,7 +18,7 @@ from learning.training.checkpoint import CheckpointError
 from learning.training.log import RunLog
 from learning.training.run_folder import RunFolder
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ import torch
 from learning.training import checkpoint
 from learning.training.checkpoint import CheckpointError
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 NUMPY = st.sampled_from(["?", "u1", "i4", "i8", "u4", "u8", "f2", "f4", "f8", "c16"])
