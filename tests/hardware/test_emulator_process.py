@@ -77,7 +77,10 @@ def test_settings_that_make_no_sense() -> None:
         ({"servos": 2, "ids": [1, 1]}, "two servos share one"),
         ({"servos": 2, "ids": [1, 300]}, "ids has 300; expected 0 to 252"),
         ({"servos": 2, "zeros": [1]}, "1 zeros; expected 2"),
-        ({"dynamics": "mujoco", "scene": SceneConfig(object=("teapot",))}, "unknown object 'teapot'"),
+        (
+            {"dynamics": "mujoco", "scene": SceneConfig(object=("teapot",))},
+            "unknown object 'teapot'",
+        ),
         ({"scene": {"hand": "claw"}}, "unknown hand 'claw'"),
         ({"servos": "many"}, "servos is 'many'; expected a whole number"),
     ):
