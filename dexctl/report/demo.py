@@ -116,8 +116,8 @@ def _overview(trials: Mapping[str, Trial], traces: Mapping[str, Trace]) -> str:
             "Rotation is the unwrapped angle about the axis, up to the drop (centre more than "
             "0.05 m from its start) or the end. Fingertips in touch is the mean over the time "
             "held. The residual is the norm of the wrench that the stability QP leaves, in units "
-            "of the grip force. A call is one of the controller, for one hand, in wall time. This is "
-            "one trial of each controller: `dexctl rotate` runs many.",
+            "of the grip force. A call is one of the controller, for one hand, in wall time. This "
+            "is one trial of each controller: `dexctl rotate` runs many.",
             "note",
         ),
         html.VIDEO_PLACE,
