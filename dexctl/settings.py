@@ -172,6 +172,22 @@ def get(config: Any, path: str) -> Any:
     return config
 
 
+def absolute(config: C, folder: Path) -> C:
+    """``config`` with its files as absolute paths, which ``folder`` is where they are meant from.
+
+    So what is written down holds wherever it is read.
+    """
+    files = {path: get(config, path) for path in paths(type(config))}
+    return changed(
+        config,
+        {
+            path: (folder / file.expanduser()).resolve()
+            for path, file in files.items()
+            if isinstance(file, Path)
+        },
+    )
+
+
 def differing(a: Any, b: Any) -> list[str]:
     """The dotted paths of the settings that two configurations of one kind have otherwise."""
     return [path for path in paths(type(a)) if get(a, path) != get(b, path)]

@@ -97,13 +97,17 @@ class SceneConfig:
         push = replace(self.push, push_force=0.0)
         return replace(self, sensing=sensing, push=push, initial_states=None)
 
-    def check_objects(self) -> None:
-        """Raise UnknownName where an object is not known; building nothing, it costs little."""
+    def check_objects(self, where: str = "") -> None:
+        """Raise UnknownName where an object is not known; building nothing, it costs little.
+
+        Args:
+            where: whose objects these are, for the message.
+        """
         from dexctl.sim.objects import MESH, object_names
 
         for name in self.object:
             if name not in (*object_names(), MESH):
-                raise UnknownName("object", name, object_names())
+                raise UnknownName(f"object in {where}" if where else "object", name, object_names())
 
     def scenes(self, hand: HandModel | None = None) -> list[Scene]:
         """The scene of each object.

@@ -79,6 +79,7 @@ class Algorithm(ABC):
     and `state_dict` holds all that decides what they do next.
 
     Attributes:
+        name: of the algorithm, as a configuration has it.
         overlaps: whether `update` may run while the environments step.
         activation: between the layers of the policy; behind the last one is tanh.
         steps: environment steps observed so far, of all environments together.
@@ -86,6 +87,7 @@ class Algorithm(ABC):
         statistics: means over the last call of `update` that did something, by name.
     """
 
+    name: ClassVar[str]
     overlaps: ClassVar[bool]
     activation: ClassVar[str] = "relu"
 
@@ -127,20 +129,38 @@ class Algorithm(ABC):
     def policy_layers(self) -> Layers:
         """The deterministic policy as (weight, bias) pairs, for the columns of group "policy"."""
 
-    @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """All that decides the future, as tensors, arrays and plain values.
 
         Tensors and arrays are views of what goes on changing: write them, or copy them, at once.
         """
+        return {
+            "algorithm": self.name,
+            "steps": self.steps,
+            "updates": self.updates,
+            "statistics": dict(self.statistics),
+            **self._state(),
+        }
 
-    @abstractmethod
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Continue from what `state_dict` gave.
 
         Raises:
             InvalidInput: it is of another algorithm or another shape.
         """
+        if saved["algorithm"] != self.name:
+            raise InvalidInput(f"the saved algorithm is {saved['algorithm']}; expected {self.name}")
+        self._load_state(saved)
+        self.steps, self.updates = int(saved["steps"]), int(saved["updates"])
+        self.statistics = dict(saved["statistics"])
+
+    @abstractmethod
+    def _state(self) -> dict[str, Any]:
+        """What the algorithm has of its own in `state_dict`."""
+
+    @abstractmethod
+    def _load_state(self, saved: Mapping[str, Any]) -> None:
+        """Continue from what `_state` gave."""
 
     @property
     @abstractmethod

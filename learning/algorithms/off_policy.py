@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from dexctl.exceptions import InvalidInput
 from learning.algorithms.base import (
     Algorithm,
     Cloning,
@@ -38,7 +37,6 @@ class OffPolicy(Algorithm):
     """
 
     overlaps: ClassVar[bool] = True
-    name: ClassVar[str]
     _outputs_per_action: ClassVar[int] = 1
 
     def __init__(
@@ -175,25 +173,17 @@ class OffPolicy(Algorithm):
     def diverged(self) -> bool:
         return not all(bool(torch.isfinite(net.flat).all()) for net in self.networks.values())
 
-    def state_dict(self) -> dict[str, Any]:
+    def _state(self) -> dict[str, Any]:
         return {
-            "algorithm": self.name,
-            "steps": self.steps,
-            "updates": self.updates,
-            "statistics": dict(self.statistics),
             "networks": numbers(self.networks),
             "optimizers": {name: o.state_dict() for name, o in self.optimizers.items()},
             "random": self._random.get_state(),
             "replay": self.replay.state_dict(),
         }
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        if saved["algorithm"] != self.name:
-            raise InvalidInput(f"the saved algorithm is {saved['algorithm']}; expected {self.name}")
+    def _load_state(self, saved: Mapping[str, Any]) -> None:
         restore(self.networks, saved["networks"])
         self.replay.load_state_dict(saved["replay"])
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(deepcopy(saved["optimizers"][name]))
         self._random.set_state(saved["random"])
-        self.steps, self.updates = int(saved["steps"]), int(saved["updates"])
-        self.statistics = dict(saved["statistics"])

@@ -215,12 +215,8 @@ class PPO(Algorithm):
     def diverged(self) -> bool:
         return not all(bool(torch.isfinite(weight).all()) for weight in self._weights)
 
-    def state_dict(self) -> dict[str, Any]:
+    def _state(self) -> dict[str, Any]:
         return {
-            "algorithm": self.name,
-            "steps": self.steps,
-            "updates": self.updates,
-            "statistics": dict(self.statistics),
             "networks": numbers(self.networks),
             "log_std": self.log_std.detach(),
             "optimizer": self.optimizer.state_dict(),
@@ -229,9 +225,7 @@ class PPO(Algorithm):
             "rollout": self.rollout.state_dict(),
         }
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        if saved["algorithm"] != self.name:
-            raise InvalidInput(f"the saved algorithm is {saved['algorithm']}; expected {self.name}")
+    def _load_state(self, saved: Mapping[str, Any]) -> None:
         restore(self.networks, saved["networks"])
         for name, one in self.normalisations.items():
             one.load_state_dict(saved["normalisations"][name])
@@ -240,5 +234,3 @@ class PPO(Algorithm):
             self.log_std.copy_(saved["log_std"])
         self.optimizer.load_state_dict(deepcopy(saved["optimizer"]))
         self._random.set_state(saved["random"])
-        self.steps, self.updates = int(saved["steps"]), int(saved["updates"])
-        self.statistics = dict(saved["statistics"])

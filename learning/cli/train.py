@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import Switch, given
-from dexctl.exceptions import InvalidInput, MissingExtra, UnknownName
-from dexctl.settings import NESTED, difference, to_plain
+from dexctl.exceptions import InvalidInput, MissingExtra
+from dexctl.settings import NESTED, absolute, difference, to_plain
 from learning.config import TrainConfig, recipe
 
 if TYPE_CHECKING:
@@ -58,14 +58,12 @@ class Train:
     def run(self) -> int:
         if find_spec("torch") is None:
             raise MissingExtra("dexctl train", "learning")
-        from dexctl.sim import object_names
         from learning.training.trainer import resume, train
 
         config = self.config
         if self.resume is None:
-            for name in config.env.scene.object:
-                if name not in object_names():
-                    raise UnknownName("object", name, object_names())
+            config = absolute(config, Path.cwd())  # it may be resumed from another folder
+            config.env.scene.check_objects()
             folder = make_folder(self.out or self._folder())
         else:
             folder = self.resume.expanduser()

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
-from dexctl.settings import by_path, changed, get, paths
-from dexctl.sim.scene_config import SceneConfig
+from dexctl.settings import absolute, by_path, changed, get, paths
 from learning.config import RECIPES, TrainConfig, recipe
 from learning.evaluation.protocol import Protocol
 
@@ -64,7 +63,7 @@ def train_config(
     made = _changed(
         base, {**settings, "controllers": names, "seed": seed}, f"runs of {method}", folder
     )
-    _check_objects(made.env.scene, f"runs of {method}")
+    made.env.scene.check_objects(f"runs of {method}")
     return made
 
 
@@ -90,7 +89,7 @@ def protocol(values: Mapping[str, Any], trained: Sequence[TrainConfig], folder: 
                 f"runs are trained with {path} {found[0]} and {found[1]}, and all are evaluated "
                 "alike; say which in [evaluation]"
             )
-    _check_objects(made[0].scene, "evaluation")
+    made[0].scene.check_objects("evaluation")
     if made[0].seconds < made[0].scene.control_period:
         raise InvalidInput(
             f"evaluation.seconds is {made[0].seconds}; expected at least one control period of "
@@ -105,21 +104,4 @@ def _changed(config: C, settings: Mapping[str, Any], where: str, folder: Path) -
         made = changed(config, settings)
     except DexctlError as error:  # the configurations do not know the sweep's tables
         raise InvalidInput(f"{where}: {error}") from None
-    files = {path: get(made, path) for path in paths(type(made))}
-    return changed(
-        made,
-        {
-            path: (folder / file.expanduser()).resolve()
-            for path, file in files.items()
-            if isinstance(file, Path)
-        },
-    )
-
-
-def _check_objects(scene: SceneConfig, where: str) -> None:
-    """Raise UnknownName where the simulator does not know an object."""
-    from dexctl.sim.objects import MESH, object_names
-
-    for name in scene.object:
-        if name not in (*object_names(), MESH):
-            raise UnknownName(f"object in {where}", name, object_names())
+    return absolute(made, folder)

@@ -61,16 +61,20 @@ class RunFolder:
         """Whether a folder holds a run, however far it came."""
         return RunFolder(path).config_path.exists()
 
+    def check_new(self) -> None:
+        """Raise InvalidInput where the folder holds a run already."""
+        if self.config_path.exists() or self.checkpoint_path.exists():
+            raise InvalidInput(
+                f"{self.path} holds a run already; resume it, or take another folder"
+            )
+
     def create(self, config: TrainConfig | Mapping[str, Any]) -> None:
         """Make the folder of a new run, with its configuration.
 
         Raises:
             InvalidInput: it holds a run already.
         """
-        if self.config_path.exists() or self.checkpoint_path.exists():
-            raise InvalidInput(
-                f"{self.path} holds a run already; resume it, or take another folder"
-            )
+        self.check_new()
         if not isinstance(config, Mapping):
             from dexctl.settings import to_plain
 

@@ -16,7 +16,6 @@ import torch
 from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.settings import difference, to_plain
 from learning.algorithms.base import Transitions
-from learning.algorithms.off_policy import OffPolicy
 from learning.config import TrainConfig
 from learning.exploration import POLICY
 from learning.training.build import build_algorithm, build_env, build_guide
@@ -55,8 +54,7 @@ def train(
         InvalidInput: the folder holds a run already, or another process is at work in it.
     """
     folder = RunFolder(path)
-    if RunFolder.is_run(path):
-        raise InvalidInput(f"{path} holds a run already; resume it, or take another folder")
+    folder.check_new()
     # what is wrong with the configuration shows before a file is written
     trainer = Trainer(config, folder, report, remark)
     try:
@@ -212,7 +210,6 @@ class Trainer:
             self._update()
 
     def _values(self, seen: np.ndarray, rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        assert isinstance(self.algorithm, OffPolicy)  # the configuration sees to it
         return self.algorithm.values(seen[rows], actions)
 
     def _update(self) -> None:

@@ -22,6 +22,7 @@ import learning
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 from dexctl.settings import from_plain
+from dexctl.sim import GraspStates, Scene
 from learning.cli.train import Train
 from learning.config import TrainConfig, recipe
 from learning.training.log import Tally, columns, who_acted
@@ -120,7 +121,7 @@ def test_ctrl_c_says_what_is_saved_and_how_to_go_on(tmp_path: Path) -> None:
         ("--env.parts q smell", "unknown observation part 'smell'; known: q, q_target"),
         ("--env.critic-parts q", "each named once"),
         ("--env.sensor-latency nan", "sensor_latency is nan"),
-        ("--env.initial-states none.npz", "'none.npz' cannot be read"),
+        ("--env.initial-states none.npz", "'.*none.npz' cannot be read"),
         ("--seed -1", "seed is -1"),
         ("--recipe slow", "unknown recipe 'slow'; known: thesis, fast"),
         ("--method rl+bc --controller igm gait", "'rl\\+bc' has the controllers igm, gait at once"),
@@ -133,6 +134,30 @@ def test_bad_input(tmp_path: Path, arguments: str, said: str) -> None:
         command(*arguments.split(), "--out", str(folder)).run()
     assert "\n" not in str(caught.value)
     assert not RunFolder.is_run(folder)
+
+
+def test_a_run_can_be_resumed_from_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene.build("dex5", "cylinder")
+    q, pose = scene.settled.qpos[scene.qpos_columns], scene.settled.qpos[scene.object_qpos]
+    GraspStates(
+        hand="dex5",
+        q=q[None],
+        q_target=scene.settled.q_target[None],
+        object_position=pose[None, :3],
+        object_quaternion=pose[None, 3:],
+        object=np.array(["cylinder"]),
+        joint_names=np.array(scene.hand.joint_names),
+    ).save(tmp_path / "states.npz")
+    monkeypatch.chdir(tmp_path)
+    run, typed = tmp_path / "run", ("--env.initial-states", "states.npz")
+    assert command(*SMALL, "--object", "cylinder", *typed, "--out", str(run)).run() == 0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert command("--resume", str(run), "--steps", "240").run() == 0
+    found = RunFolder(run).config().env.scene.initial_states
+    assert found == tmp_path.resolve() / "states.npz"
 
 
 def test_the_configuration_is_the_command_line(tmp_path: Path) -> None:
