@@ -13,16 +13,13 @@ learned, and not how a hand gaits.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import sys
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from common import Figure, Settings, earlier, progress, settings, write
+from common import Figure, Settings, measure_with_seeds, settings, write
 
 from dexctl.exceptions import UnknownName
 from dexctl.settings import to_plain
@@ -261,16 +258,14 @@ def table(found: Mapping[str, dict[str, Any]], given: Options) -> dict[str, Any]
     }  # fmt: skip
 
 
-def save(rows: dict[tuple[str, int], dict[str, Any]], given: Options, *, say: bool) -> None:
+def save(trials: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the rows so far."""
     import stable_baselines3
     import torch
 
-    order = list(CASES)
-    trials = [rows[one] for one in sorted(rows, key=lambda one: (order.index(one[0]), one[1]))]
     found = {
         name: compared([row for row in trials if row["case"] == name])
-        for name in order
+        for name in CASES
         if any(row["case"] == name for row in trials)
     }
     write(
@@ -286,36 +281,21 @@ def save(rows: dict[tuple[str, int], dict[str, Any]], given: Options, *, say: bo
     )
 
 
+def line(row: Mapping[str, Any]) -> str:
+    """A row for whoever waits."""
+    ours, stock = row["ours"], row["stock"]
+    return (
+        f"return {ours['return_mean']}, stock {stock['return_mean']}; {ours['steps_per_second']} "
+        f"and {stock['steps_per_second']} steps/s"
+    )
+
+
 def main() -> None:
     given = settings(Options, __doc__)
-    order = [(name, given.seed + k) for k in range(given.seeds) for name in given.only]
-    for one in order:  # what is wrong with the settings shows before any training
-        config(*one, given)
-    rows = {}
-    for row in earlier("algorithms", given, ("seed", "episodes")):
-        one = row["case"], row["training_seed"]
-        if one[0] in CASES and row["config"] == to_plain(config(*one, given)):
-            rows[one] = row
-    # each in a process of its own: random states and thread counts belong to the process
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(given.jobs, spawn, max_tasks_per_child=1)
-    try:
-        waiting = {pool.submit(measure, *one, given): one for one in order if one not in rows}
-        for done in as_completed(waiting):
-            one = waiting[done]
-            rows[one] = row = done.result()
-            save(rows, given, say=False)
-            progress(
-                f"{one[0]}, seed {one[1]}: return {row['ours']['return_mean']}, stock "
-                f"{row['stock']['return_mean']}; {row['ours']['steps_per_second']} and "
-                f"{row['stock']['steps_per_second']} steps/s"
-            )
-    except KeyboardInterrupt:
-        progress("interrupted; the same command with --resume goes on")
-        sys.exit(130)
-    finally:
-        pool.shutdown(cancel_futures=True)
-    save(rows, given, say=True)
+    measure_with_seeds(
+        "algorithms", given, "case", list(CASES), given.only, config, measure, save, line,
+        fixed=("seed", "episodes"),
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -7,10 +7,12 @@ they were made from.
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -25,12 +27,14 @@ from dexctl.controller import Controller
 from dexctl.files import write_text
 from dexctl.report.machine import machine
 from dexctl.rotations import inverse, multiply
+from dexctl.settings import to_plain
 from dexctl.sim import Scene, SceneConfig, Simulation, Trace, run
 from dexctl.statistics import bootstrap, wilson
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FULL_TURN = 2 * np.pi
 PALMS = ("up", "down")
+FIXED = ("seed", "trials", "seconds")  # settings that rows of one result have in common
 THREADS = 2  # of the physics in the timing benchmarks
 # of in-grasp manipulation; they give the same numbers
 ENGINES = {"compiled": "compiled (extra `fast`)", "plain": "numpy only"}
@@ -148,9 +152,7 @@ def trials(
         return run(controller, sim, seconds)
 
 
-def earlier(
-    name: str, given: Settings, fixed: Sequence[str] = ("seed", "trials", "seconds")
-) -> list[dict[str, Any]]:
+def earlier(name: str, given: Settings, fixed: Sequence[str] = FIXED) -> list[dict[str, Any]]:
     """Rows that an interrupted run has left, where it had the same ``fixed`` settings."""
     path = given.out / f"{name}.json"
     if not (given.resume and path.is_file()):
@@ -225,6 +227,65 @@ def measure_in_scenes(
         cell = line[1 + scenes.index((turned, palm))]
         progress(f"{one}, {turned}, palm {palm}: {cell}")
     save(say=True)
+
+
+def measure_with_seeds(
+    name: str,
+    given: Any,
+    column: str,
+    known: Sequence[str],
+    chosen: Sequence[str],
+    config: Callable[[str, int, Any], Any],
+    measure: Callable[[str, int, Any], dict[str, Any]],
+    save: Callable[..., None],
+    line: Callable[[dict[str, Any]], str],
+    fixed: Sequence[str] = FIXED,
+) -> None:
+    """One row for each one chosen and each seed of training; written after every row.
+
+    Each is measured in a process of its own: random states and thread counts belong to it.
+
+    Args:
+        name: of the script.
+        given: its settings, with seeds and jobs.
+        column: what a row calls the one that was measured.
+        known: all that can be measured, in the order of the rows.
+        chosen: those that are measured.
+        config: (one, seed, given) -> its training's configuration; a row that an interrupted run
+            has left counts where it has the same.
+        measure: (one, seed, given) -> its row, with the training_seed and the config.
+        save: (rows, given, say=) writes the result.
+        line: row -> what whoever waits reads.
+        fixed: see `earlier`.
+    """
+    order = [(one, given.seed + k) for k in range(given.seeds) for one in chosen]
+    for each in order:  # what is wrong with the settings shows before any training
+        config(*each, given)
+    rows = {}
+    for row in earlier(name, given, fixed):
+        each = row[column], row["training_seed"]
+        if each[0] in known and row["config"] == to_plain(config(*each, given)):
+            rows[each] = row
+
+    def write_down(*, say: bool) -> None:
+        in_order = sorted(rows, key=lambda each: (known.index(each[0]), each[1]))
+        save([rows[each] for each in in_order], given, say=say)
+
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(given.jobs, spawn, max_tasks_per_child=1)
+    try:
+        waiting = {pool.submit(measure, *each, given): each for each in order if each not in rows}
+        for done in as_completed(waiting):
+            (one, seed) = each = waiting[done]
+            rows[each] = done.result()
+            write_down(say=False)
+            progress(f"{one}, seed {seed}: {line(rows[each])}")
+    except KeyboardInterrupt:
+        progress("interrupted; the same command with --resume goes on")
+        sys.exit(130)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    write_down(say=True)
 
 
 def controls(scene: Scene, q_target: np.ndarray, substeps: int) -> np.ndarray:

@@ -6,16 +6,13 @@ policy is evaluated alone. So the figures say how soon a policy has learned, not
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import sys
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from common import FULL_TURN, Settings, earlier, over_seeds, progress, settings, share, write
+from common import FULL_TURN, Settings, measure_with_seeds, over_seeds, settings, share, write
 
 from dexctl.exceptions import UnknownName
 from dexctl.settings import changed, get, to_plain
@@ -155,10 +152,8 @@ def lines(rows: list[dict[str, Any]]) -> Iterator[list[str]]:
             ]
 
 
-def save(rows: dict[tuple[str, int], dict[str, Any]], given: Options, *, say: bool) -> None:
+def save(trials: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the rows so far."""
-    order = list(VARIANTS)
-    trials = [rows[one] for one in sorted(rows, key=lambda one: (order.index(one[0]), one[1]))]
     seeds = ", ".join(str(given.seed + k) for k in range(given.seeds))
     table = {
         "title": f"The recipe `fast` with one part changed: {OBJECT}, {given.steps:,} steps, all "
@@ -169,32 +164,17 @@ def save(rows: dict[tuple[str, int], dict[str, Any]], given: Options, *, say: bo
     write("learning_ablation", given, [], [table], trials=trials, say=say)
 
 
+def line(row: Mapping[str, Any]) -> str:
+    """A row for whoever waits."""
+    return f"{row['rotation_rad']['median']:.1f} rad"
+
+
 def main() -> None:
     given = settings(Options, __doc__)
-    order = [(name, given.seed + k) for k in range(given.seeds) for name in given.variants]
-    for one in order:  # what is wrong with the settings shows before any training
-        config(*one, given)
-    rows = {}
-    for row in earlier("learning_ablation", given):
-        one = row["variant"], row["training_seed"]
-        if one[0] in VARIANTS and row["config"] == to_plain(config(*one, given)):
-            rows[one] = row
-    # each in a process of its own: random states and thread counts belong to the process
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(given.jobs, spawn, max_tasks_per_child=1)
-    try:
-        waiting = {pool.submit(measure, *one, given): one for one in order if one not in rows}
-        for done in as_completed(waiting):
-            one = waiting[done]
-            rows[one] = done.result()
-            save(rows, given, say=False)
-            progress(f"{one[0]}, seed {one[1]}: {rows[one]['rotation_rad']['median']:.1f} rad")
-    except KeyboardInterrupt:
-        progress("interrupted; the same command with --resume goes on")
-        sys.exit(130)
-    finally:
-        pool.shutdown(cancel_futures=True)
-    save(rows, given, say=True)
+    measure_with_seeds(
+        "learning_ablation", given, "variant", list(VARIANTS), given.variants, config, measure,
+        save, line,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":
