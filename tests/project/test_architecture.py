@@ -34,7 +34,7 @@ ALLOWED = {
     "igm": {"base", "grasp", "igm"},
     "switch": {"base", "grasp", "switch"},
     "gait": {"base", "grasp", "igm", "switch", "gait"},
-    "sim": {"base", "sim"},
+    "sim": {"base", "grasp", "sim"},
     "controllers": {*INSIDE, "dexctl", "controllers"},  # by name
     "application": {*INSIDE, "application", "dexctl", "controllers"},
     "learning": {*INSIDE, "dexctl", "controllers", "learning"},
