@@ -145,6 +145,8 @@ def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     )
 
 
+# the configuration's own message names the setting; an option's name stays
+_TYRO_SAYS = re.compile(r"^Error parsing (\w[\w.-]*: )?")
 _REGISTRY = ConstructorRegistry()
 _REGISTRY.primitive_rule(_optional)
 
@@ -159,4 +161,4 @@ def _one_line(box: str) -> str:
                 break
             continue
         said.append(inside)
-    return " ".join(said) or "bad arguments"
+    return _TYRO_SAYS.sub("", " ".join(said)) or "bad arguments"

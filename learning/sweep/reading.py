@@ -108,7 +108,8 @@ def parse_sweep(
 def _methods(given: Mapping[str, Any]) -> list[str]:
     methods = given.get("methods")
     if not isinstance(methods, list) or not methods:
-        raise InvalidInput(f"methods is {methods!r}; expected a list of {', '.join(METHODS)}")
+        found = f"methods is {methods!r}" if "methods" in given else "methods is not given"
+        raise InvalidInput(f"{found}; expected a list of {', '.join(METHODS)}")
     for method in methods:
         if method not in METHODS:
             raise UnknownName("method", method, METHODS)

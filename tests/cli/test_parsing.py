@@ -164,6 +164,7 @@ def test_bad_words_are_one_line(words: str, said: str) -> None:
         learn(*words.split())
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert "Error parsing" not in str(caught.value)  # the parser's own words
 
 
 def test_unknown_names_are_those_of_the_configuration() -> None:

@@ -321,7 +321,7 @@ def test_a_measure_that_nobody_sets() -> None:
     [
         (None, "cannot read .*: No such file"),
         ("methods = [", "is not TOML"),
-        ("", "methods is None"),
+        ("", "methods is not given; expected a list of"),
     ],
 )
 def test_bad_files(tmp_path: Path, content: str | None, said: str) -> None:
