@@ -30,6 +30,10 @@ class Controller(ABC):
     """
 
     def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:
+        if not isinstance(hand, HandModel):
+            raise InvalidInput(
+                f"hand is {hand!r}; expected a HandModel, such as dexctl.hands.load('dex5')"
+            )
         number = isinstance(control_period, (int, float, np.number))
         if not (number and np.isfinite(control_period) and control_period > 0):
             raise InvalidInput(f"control_period is {control_period!r}; expected seconds above 0")

@@ -121,9 +121,7 @@ class HandModel:
         fingertips: Sequence[str] | Mapping[str, ArrayLike],
         joints: Sequence[str] | None,
     ) -> HandModel:
-        path = Path(path).expanduser()
-        if not path.is_file():
-            raise HandModelError(f"{path}: no such file")
+        path = _file(path)
         return cls(reader(path), fingertips, path, joints)
 
     def configuration(self, q: ArrayLike) -> HandConfiguration:
@@ -343,6 +341,22 @@ class HandModel:
         self.moves: Bools = np.asarray(self.finger_joint_map.any(axis=1))
         self._fingers = FingerJoints(self.finger_joints, self.finger_joint_map, self.moves)
         self.shares_joints = bool((self.moves.sum(axis=0) > 1).any())
+
+
+def _file(path: object) -> Path:
+    """``path`` where it names a file, and is not the text of one."""
+    is_text = isinstance(path, str) and path.lstrip("\ufeff \t\r\n").startswith("<")
+    shown = repr(path) if len(repr(path)) < 80 else repr(path)[:76] + " ..."
+    if is_text or not isinstance(path, (str, Path)):
+        raise HandModelError(f"path is {shown}; expected the path of a file, not what is in it")
+    found = Path(path).expanduser()
+    try:
+        exists = found.is_file()
+    except OSError:  # a name that is too long
+        exists = False
+    if not exists:
+        raise HandModelError(f"{shown if len(str(found)) > 400 else found}: no such file")
+    return found
 
 
 def _stacked(views: list[Floats]) -> Floats:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -113,7 +113,9 @@ def unit_axis(axis: object) -> tuple[float, float, float]:
 
 
 class Turnable(Protocol):
-    """Settings of a controller that turns objects."""
+    """Settings of a controller that turns objects: a dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def about(self, axis: object) -> Any:
         """The same with the rotation about ``axis`` ``(3,)``, at the same speed."""
@@ -122,18 +124,39 @@ class Turnable(Protocol):
 
 C = TypeVar("C", bound=Turnable)
 
+CONSTRUCTOR = ("control_period", "axis")
+"""Keywords of controllers beside their settings."""
 
-def with_changes(config: C, changes: Mapping[str, Any], axis: object = None) -> C:
+
+def with_changes(
+    kind: type[C], config: object, changes: Mapping[str, Any], axis: object = None
+) -> C:
     """The settings with single ones changed, and then turned about ``axis``; None leaves it.
 
+    Args:
+        kind: the class of the settings.
+        config: settings of that class; None: its defaults.
+        changes: settings by name, in place of those of ``config``.
+        axis: of the wanted rotation, by name or ``(3,)``.
+
     Raises:
-        InvalidInput: there is no such setting, or a value is out of range.
+        InvalidInput: ``config`` is of another class, there is no such setting, or a value is out
+            of range.
     """
-    known = [field.name for field in fields(config)]  # type: ignore[arg-type]
-    for name in changes:
+    if config is None:
+        config = kind()
+    if not isinstance(config, kind):
+        raise InvalidInput(f"config is {config!r}; expected a {kind.__name__}, or None")
+    check_settings(kind, changes, CONSTRUCTOR)
+    changed = cast(C, replace(config, **changes))
+    return changed if axis is None else changed.about(axis)
+
+
+def check_settings(kind: type, names: Iterable[str], more: Sequence[str] = ()) -> None:
+    """Raise InvalidInput where one of ``names`` is neither a field of ``kind`` nor of ``more``."""
+    known = [*more, *(field.name for field in fields(kind))]
+    for name in names:
         if name not in known:
             raise InvalidInput(
-                f"{type(config).__name__} has no setting {name!r}; known: {', '.join(known)}"
+                f"{kind.__name__} has no setting {name!r}; known keywords: {', '.join(known)}"
             )
-    changed = replace(config, **changes)  # type: ignore[type-var]
-    return changed if axis is None else changed.about(axis)

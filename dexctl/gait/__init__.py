@@ -1,6 +1,13 @@
 """Finger gaiting: in-grasp manipulation and contact switching superposed, at random or by plan."""
 
-from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitConfig
-from dexctl.gait.thesis import FingerGaiting, FingerGaitingConfig
+from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitChanges, CoordinatedGaitConfig
+from dexctl.gait.thesis import FingerGaiting, FingerGaitingChanges, FingerGaitingConfig
 
-__all__ = ["CoordinatedGait", "CoordinatedGaitConfig", "FingerGaiting", "FingerGaitingConfig"]
+__all__ = [
+    "CoordinatedGait",
+    "CoordinatedGaitChanges",
+    "CoordinatedGaitConfig",
+    "FingerGaiting",
+    "FingerGaitingChanges",
+    "FingerGaitingConfig",
+]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -72,6 +72,22 @@ class CoordinatedGaitConfig:
         return replace(self, in_grasp=self.in_grasp.about(axis))
 
 
+class CoordinatedGaitChanges(TypedDict, total=False):
+    """`CoordinatedGaitConfig`'s fields as keywords, for type checkers."""
+
+    in_grasp: InGraspManipulationConfig
+    switch: GuardedSwitchConfig
+    swing: float
+    least_travel: float
+    most_travel: float
+    slow_down: float
+    pause: float
+    friction: float
+    hold_force: float
+    residual_weight: float
+    residual_limit: float
+
+
 class CoordinatedGait(Controller):
     """In-grasp manipulation and the guarded switch, coordinated.
 
@@ -103,10 +119,10 @@ class CoordinatedGait(Controller):
         *,
         control_period: float = 0.05,
         axis: ArrayLike | None = None,
-        **changes: Any,
+        **changes: Unpack[CoordinatedGaitChanges],
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = with_changes(config or CoordinatedGaitConfig(), changes, axis)
+        self.config = with_changes(CoordinatedGaitConfig, config, changes, axis)
         self.in_grasp = InGraspManipulation(
             hand, self.config.in_grasp, control_period=control_period
         )

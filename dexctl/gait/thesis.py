@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +37,14 @@ class FingerGaitingConfig:
         return replace(self, in_grasp=self.in_grasp.about(axis))
 
 
+class FingerGaitingChanges(TypedDict, total=False):
+    """`FingerGaitingConfig`'s fields as keywords, for type checkers."""
+
+    in_grasp: InGraspManipulationConfig
+    duration: float
+    speed: tuple[float, float]
+
+
 class FingerGaiting(Controller):
     """psi_FG = psi_IGM + psi_CS (thesis chapter 4): one random finger after the other switches.
 
@@ -60,10 +68,10 @@ class FingerGaiting(Controller):
         *,
         control_period: float = 0.05,
         axis: ArrayLike | None = None,
-        **changes: Any,
+        **changes: Unpack[FingerGaitingChanges],
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = with_changes(config or FingerGaitingConfig(), changes, axis)
+        self.config = with_changes(FingerGaitingConfig, config, changes, axis)
         self.in_grasp = InGraspManipulation(
             hand, self.config.in_grasp, control_period=control_period
         )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypedDict, Unpack
 
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.validation import check_numbers, check_twist, unit_axis
+from dexctl.validation import check_numbers, check_settings, check_twist, unit_axis
 
 ENGINES = ("auto", "compiled", "plain")
 
@@ -78,8 +78,9 @@ class InGraspManipulationConfig:
             raise InvalidInput(f"engine is {self.engine!r}; expected one of {', '.join(ENGINES)}")
 
     @classmethod
-    def thesis(cls, **changes: Any) -> InGraspManipulationConfig:
+    def thesis(cls, **changes: Unpack[InGraspManipulationChanges]) -> InGraspManipulationConfig:
         """The controller as the thesis has it: no regulariser, no bound, nothing added."""
+        check_settings(cls, changes)
         plain = cls(
             twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.45),
             regulariser=0.0,
@@ -97,3 +98,23 @@ class InGraspManipulationConfig:
         speed = float(np.linalg.norm(self.twist[3:]))
         x, y, z = (speed * part for part in unit_axis(axis))
         return replace(self, twist=(*self.twist[:3], x, y, z))
+
+
+class InGraspManipulationChanges(TypedDict, total=False):
+    """`InGraspManipulationConfig`'s fields as keywords, for type checkers."""
+
+    twist: tuple[float, float, float, float, float, float]
+    grip_force: float
+    stability_gain: float
+    regulariser: float
+    min_force: float
+    friction: float
+    length: float | None
+    damping: float
+    height_gain: float
+    centring_gain: float
+    tilt_gain: float
+    closing_speed: float
+    max_joint_speed: float
+    max_lead: float
+    engine: str

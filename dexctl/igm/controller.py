@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from dexctl.configuration import HandConfiguration
 from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.hand import HandModel
-from dexctl.igm.config import InGraspManipulationConfig
+from dexctl.igm.config import InGraspManipulationChanges, InGraspManipulationConfig
 from dexctl.igm.plain import PlainStep
 from dexctl.igm.regulation import Reference
 from dexctl.igm.step import StepInput, StepResult
@@ -78,10 +78,10 @@ class InGraspManipulation(Controller):
         *,
         control_period: float = 0.05,
         axis: ArrayLike | None = None,
-        **changes: Any,
+        **changes: Unpack[InGraspManipulationChanges],
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = with_changes(config or InGraspManipulationConfig(), changes, axis)
+        self.config = with_changes(InGraspManipulationConfig, config, changes, axis)
         self._twist = np.array(self.config.twist, float)
         turn = np.linalg.norm(self._twist[3:])
         self.axis = self._twist[3:] / turn if turn > 0 else np.array([0.0, 0.0, 1.0])

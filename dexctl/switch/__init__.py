@@ -1,6 +1,6 @@
 """Contact switching: one finger lets go of the object and touches it again elsewhere."""
 
-from dexctl.switch.config import ContactSwitchConfig, GuardedSwitchConfig
+from dexctl.switch.config import ContactSwitchChanges, ContactSwitchConfig, GuardedSwitchConfig
 from dexctl.switch.controller import ContactSwitch
 from dexctl.switch.finger_ik import FingerIK, IKResult
 from dexctl.switch.guarded import GuardedSwitch, Phase
@@ -9,6 +9,7 @@ from dexctl.switch.profile import SwitchProfile
 
 __all__ = [
     "ContactSwitch",
+    "ContactSwitchChanges",
     "ContactSwitchConfig",
     "FingerIK",
     "GuardedSwitch",

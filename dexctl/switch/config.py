@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TypedDict
 
 from dexctl.exceptions import InvalidInput
 from dexctl.validation import check_kind, check_numbers, unit_axis
@@ -123,3 +124,19 @@ class ContactSwitchConfig:
     def about(self, axis: object) -> ContactSwitchConfig:
         """The same for an object that turns about ``axis`` ``(3,)``, of any length."""
         return replace(self, axis=unit_axis(axis))
+
+
+class ContactSwitchChanges(TypedDict, total=False):
+    """`ContactSwitchConfig`'s fields as keywords, for type checkers; `axis` is the constructor's."""
+
+    kind: str
+    duration: float
+    speed: tuple[float, float]
+    switch: GuardedSwitchConfig
+    swing: float
+    pause: float
+    friction: float
+    hold_force: float
+    stability_gain: float
+    max_joint_speed: float
+    max_lead: float

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from dexctl.limits import SetPointLimits
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import LateStreams
-from dexctl.switch.config import ContactSwitchConfig
+from dexctl.switch.config import ContactSwitchChanges, ContactSwitchConfig
 from dexctl.switch.guarded import GuardedSwitch, Indices, Phase
 from dexctl.switch.landing import landing_at, split, turned, unit_across
 from dexctl.switch.profile import SwitchProfile, random_contact
@@ -43,10 +43,10 @@ class ContactSwitch(Controller):
         *,
         control_period: float = 0.05,
         axis: ArrayLike | None = None,
-        **changes: Any,
+        **changes: Unpack[ContactSwitchChanges],
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = config = with_changes(config or ContactSwitchConfig(), changes, axis)
+        self.config = config = with_changes(ContactSwitchConfig, config, changes, axis)
         turning = np.array(unit_axis(config.axis))
         self._part: _Profile | _Guarded
         if config.kind == "profile":

@@ -178,15 +178,15 @@ def test_settings_of_the_wrong_kind(dex5):
     with pytest.raises(InvalidInput, match="^switch is 3; expected a GuardedSwitchConfig"):
         ContactSwitchConfig(switch=3)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="^switch is 3; expected a GuardedSwitchConfig"):
-        CoordinatedGait(dex5, switch=3)
+        CoordinatedGait(dex5, switch=3)  # type: ignore[arg-type]
     for gait in (FingerGaiting, CoordinatedGait):
         with pytest.raises(InvalidInput, match="^in_grasp is 3; expected an InGrasp|a InGrasp"):
-            gait(dex5, in_grasp=3)
+            gait(dex5, in_grasp=3)  # type: ignore[arg-type]
     for duration in ("long", True, None):
         with pytest.raises(InvalidInput, match="^duration is"):
             FingerGaitingConfig(duration=duration)  # type: ignore[arg-type]
     for speed in ("fast", ("a", "b"), None):
         with pytest.raises(InvalidInput, match="^speed is"):
-            ContactSwitch(dex5, speed=speed)
+            ContactSwitch(dex5, speed=speed)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="time_limit is 0.2 s; expected more than unload_time"):
         GuardedSwitchConfig(time_limit=0.2)

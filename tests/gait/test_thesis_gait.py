@@ -65,7 +65,7 @@ def test_an_untracked_object_will_do(cylinder, settled):
 
 
 def test_without_a_rotation_it_switches_about_the_vertical(cylinder, settled):
-    still = InGraspManipulationConfig.thesis(twist=(0.0,) * 6)
+    still = InGraspManipulationConfig.thesis(twist=(0, 0, 0, 0, 0, 0))
     action = FingerGaiting(cylinder.hand, in_grasp=still).act(settled)
     assert action.any()
 

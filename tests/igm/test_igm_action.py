@@ -15,7 +15,7 @@ from dexctl.grasp import grasp_map, stability_forces
 from dexctl.igm import InGraspManipulationConfig, Share, push_directions
 
 PERIOD = 0.05
-STILL = (0.0,) * 6
+STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 TURN = (0.01, -0.02, 0.005, 0.1, -0.2, 0.4)
 # no damping to speak of, no limit in the way: the equations as they stand
 EXACT: dict[str, Any] = {"damping": 1e-7, "max_joint_speed": 1e3, "max_lead": 1e3}

@@ -53,8 +53,9 @@ def test_twists_are_six_finite_numbers(twist):
 
 
 def test_unknown_settings_are_refused(dex5):
-    with pytest.raises(InvalidInput, match="no setting .grip.; known: .*grip_force"):
-        InGraspManipulation(dex5, grip=2.0)
+    wrong: dict[str, Any] = {"grip": 2.0}
+    with pytest.raises(InvalidInput, match="no setting .grip.; known keywords: .*grip_force"):
+        InGraspManipulation(dex5, **wrong)
 
 
 @pytest.mark.parametrize("period", [0.0, -0.05, float("nan"), float("inf")])

@@ -61,7 +61,7 @@ def test_regulation_brings_a_lifted_object_back(cylinder):
         sim = BatchSimulator(cylinder, 4)
         sim.reset(0)
         back: dict[str, Any] = {"height_gain": gain, "centring_gain": gain, "tilt_gain": gain}
-        controller = InGraspManipulation(hand, twist=(0.0,) * 6, **back)
+        controller = InGraspManipulation(hand, twist=(0, 0, 0, 0, 0, 0), **back)
         controller.act(sim.read())
         up = InGraspManipulation(hand, twist=(0.0, 0.0, 0.02, 0.0, 0.0, 0.0))
         run(up, sim, 0.5)

@@ -18,6 +18,7 @@ GAINS: dict[str, Any] = {"height_gain": 1.0, "centring_gain": 2.0, "tilt_gain": 
 
 def regulator(hand: HandModel, axis=(0.0, 0.0, 0.0), **gains: float) -> InGraspManipulation:
     """Regulation alone; the wanted rotation is too slow to see, and only names the axis."""
+    still: dict[str, Any] = {**GAINS, **gains}
     return InGraspManipulation(
         hand,
         twist=(0.0, 0.0, 0.0, *(1e-12 * np.array(axis))),
@@ -26,7 +27,7 @@ def regulator(hand: HandModel, axis=(0.0, 0.0, 0.0), **gains: float) -> InGraspM
         max_joint_speed=1e3,
         max_lead=1e3,
         control_period=PERIOD,
-        **{**GAINS, **gains},
+        **still,
     )
 
 
