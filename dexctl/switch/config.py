@@ -127,7 +127,7 @@ class ContactSwitchConfig:
 
 
 class ContactSwitchChanges(TypedDict, total=False):
-    """`ContactSwitchConfig`'s fields as keywords, for type checkers; `axis` is the constructor's."""
+    """`ContactSwitchConfig`'s fields but `axis`, the constructor's, as keywords for checkers."""
 
     kind: str
     duration: float
