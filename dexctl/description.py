@@ -100,6 +100,29 @@ class Description:
         return found
 
 
+def read(path: Path) -> Description:
+    """Read a URDF, which has <robot> as its root, or an MJCF file.
+
+    Raises:
+        HandModelError: it is neither, or not well made.
+    """
+    return read_urdf(path) if root_tag(path) == "robot" else read_mjcf(path)
+
+
+def root_tag(path: Path) -> str:
+    """The name of an XML file's root element.
+
+    Raises:
+        HandModelError: the file is not XML.
+    """
+    try:
+        for _, element in ElementTree.iterparse(path, events=("start",)):
+            return element.tag
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
+        raise HandModelError(f"{path}: not well-formed XML: {error}") from None
+    raise HandModelError(f"{path}: no element in it")
+
+
 def load_mujoco() -> ModuleType:
     """MuJoCo, imported when it is first needed.
 

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio
@@ -19,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from dexctl.configuration import FingerJoints, HandConfiguration
 from dexctl.description import Description, Joint, Mimic, read_mjcf, read_urdf
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
+from dexctl.hand_config import HandConfig, Vector3
 from dexctl.state import Bools, Floats
 
 Item = TypeVar("Item")
@@ -27,12 +29,12 @@ Item = TypeVar("Item")
 class HandModel:
     """A hand of m serial fingers with d joints, on a wrist or not.
 
-    Built by :meth:`from_mjcf` or :meth:`from_urdf`. Joints are in the order of the fingertips
-    given, base to tip; a joint shared by several fingers (a wrist) stands where it is met first,
-    before theirs. Joints that follow another (mimic, equality) are not among the d: they move
-    with their master. Joints that move no fingertip are left at their reference position and
-    listed in ``ignored_joints``. One evaluation at a time: methods may be called from any
-    thread, they take turns.
+    Built by :meth:`load`, :meth:`from_mjcf` or :meth:`from_urdf`. Joints are in the order of the
+    fingertips given, base to tip; a joint shared by several fingers (a wrist) stands where it is
+    met first, before theirs. Joints that follow another (mimic, equality) are not among the d:
+    they move with their master. Joints that move no fingertip are left at their reference
+    position and listed in ``ignored_joints``. One evaluation at a time: methods may be called
+    from any thread, they take turns.
 
     Attributes:
         nq: d, number of joints.
@@ -50,19 +52,22 @@ class HandModel:
         finger_joint_map: ``(m, n, d)``; one where joint d is the n-th of a finger, else zero.
         shares_joints: whether some joint moves more than one fingertip.
         ignored_joints: joints of the file that move no fingertip.
-        path: the file that the hand came from.
+        path: the description file that the hand came from.
+        config: what is said of the hand beside that file.
+        name: the hand's name, for people and files.
+        base_rotation: from the description file's world frame into the hand's, which is dexctl's
+            world frame, ``(3, 3)``: there the palm looks along z and the fingers point along x.
     """
 
-    def __init__(
-        self,
-        description: Description,
-        fingertips: Sequence[str] | Mapping[str, ArrayLike],
-        path: Path,
-        joints: Sequence[str] | None = None,
-    ) -> None:
-        self.path = path
-        self._arguments = (description, fingertips, path, joints)
-        self._resolve_fingertips(description, fingertips)
+    def __init__(self, description: Description, config: HandConfig) -> None:
+        path = self.path = description.path
+        self.config = config
+        self.name = config.name
+        self.base_rotation = config.palm.rotation
+        self._arguments = (description, config)
+        description = _coupled(description, config)
+        joints = config.joints
+        self._resolve_fingertips(description, config.fingertips)
         chains = [self._chain(description, body) for body in self._tip_body]
         used = _unique(joint.name for chain in chains for _, joint in chain)
         couplings = {name: description.resolve(name) for name in used}
@@ -78,6 +83,13 @@ class HandModel:
             )
         order = list(joints) if joints is not None else masters
         self._build(description, chains, couplings, order)
+
+    @classmethod
+    def load(cls, hand: str | Path, *, folder: str | Path | None = None) -> HandModel:
+        """A hand by name, or from a file; see `dexctl.hands.load`."""
+        from dexctl.hands.registry import load
+
+        return load(hand, folder=folder)
 
     @classmethod
     def from_mjcf(
@@ -122,7 +134,10 @@ class HandModel:
         joints: Sequence[str] | None,
     ) -> HandModel:
         path = _file(path)
-        return cls(reader(path), fingertips, path, joints)
+        tips = _offsets(path, fingertips)
+        order = None if joints is None else tuple(joints)
+        config = HandConfig(description=path, fingertips=tips, joints=order)
+        return cls(reader(path), config)
 
     def configuration(self, q: ArrayLike) -> HandConfiguration:
         """Forward kinematics at ``q`` ``(..., d)`` [rad].
@@ -185,6 +200,23 @@ class HandModel:
         """``q`` within the joint limits."""
         return np.minimum(np.maximum(q, self.lower), self.upper)
 
+    def posture(self, angles: Mapping[str, float]) -> Floats:
+        """Joints by name ``(d,)`` [rad], within their limits.
+
+        One that ``angles`` leaves out is at the middle of its range, or 0 where it has none.
+
+        Raises:
+            UnknownName: the hand has no such joint.
+        """
+        limited = np.isfinite(self.lower) & np.isfinite(self.upper)
+        q = np.zeros(self.nq)
+        q[limited] = (self.lower[limited] + self.upper[limited]) / 2
+        for joint, angle in angles.items():
+            if joint not in self.joint_names:
+                raise UnknownName("joint", joint, self.joint_names)
+            q[self.joint_names.index(joint)] = angle
+        return self.clip(q)
+
     def __reduce__(self) -> tuple[type, tuple]:
         return type(self), self._arguments  # pinocchio's data is rebuilt, not pickled
 
@@ -192,44 +224,23 @@ class HandModel:
         return f"HandModel({str(self.path)!r}, {self.n_fingers} fingers, {self.nq} joints)"
 
     def _resolve_fingertips(
-        self, description: Description, fingertips: Sequence[str] | Mapping[str, ArrayLike]
+        self, description: Description, fingertips: Mapping[str, Vector3]
     ) -> None:
-        if isinstance(fingertips, str) or not len(fingertips):
-            raise HandModelError(
-                f"{self.path}: fingertips is {fingertips!r}; expected a list of body or site names"
-            )
-        names = list(fingertips)
-        if len(set(names)) != len(names):
-            raise HandModelError(f"{self.path}: a fingertip is named twice in {names}")
         body_index = {body.name: i for i, body in enumerate(description.bodies)}
         self._tip_body, offsets = [], []
-        for name in names:
+        for name, own in fingertips.items():
             if name in body_index:
                 body, offset = body_index[name], np.zeros(3)
             elif name in description.sites:
                 body, offset = description.sites[name]
             else:
                 raise UnknownName("fingertip", name, [*body_index, *description.sites])
-            if isinstance(fingertips, Mapping):
-                offset = offset + self._offset(name, fingertips[name])
             self._tip_body.append(body)
-            offsets.append(offset)
-        self.fingertip_names = tuple(names)
+            offsets.append(offset + own)
+        self.fingertip_names = tuple(fingertips)
         self.fingertip_bodies = tuple(description.bodies[b].name for b in self._tip_body)
         self.fingertip_offsets = np.array(offsets)
-        self.n_fingers = len(names)
-
-    def _offset(self, fingertip: str, value: ArrayLike) -> Floats:
-        try:
-            offset = np.asarray(value, float)
-        except (TypeError, ValueError):
-            offset = np.array(np.nan)
-        if offset.shape != (3,) or not np.isfinite(offset).all():
-            raise HandModelError(
-                f"{self.path}: fingertip {fingertip!r} has the offset {value!r}; expected three "
-                "lengths in metres"
-            )
-        return offset
+        self.n_fingers = len(offsets)
 
     def _chain(self, description: Description, body: int) -> list[tuple[int, Joint]]:
         """The (body, joint) pairs from the world to ``body``."""
@@ -258,7 +269,9 @@ class HandModel:
         """Make the pinocchio model of the bodies on the chains, and the maps into it."""
         all_joints = {j.name: j for body in description.bodies for j in body.joints}
         model = pinocchio.Model()
-        placed: dict[int, tuple[int, pinocchio.SE3]] = {-1: (0, pinocchio.SE3.Identity())}
+        placed: dict[int, tuple[int, pinocchio.SE3]] = {
+            -1: (0, pinocchio.SE3(self.base_rotation, np.zeros(3)))
+        }
 
         def place(body: int) -> tuple[int, pinocchio.SE3]:
             """The pinocchio joint that carries ``body``, and the body's placement on it."""
@@ -311,8 +324,9 @@ class HandModel:
         found = [all_joints[name] for name in order]
         self.lower = np.array([joint.lower for joint in found])
         self.upper = np.array([joint.upper for joint in found])
-        self.effort = np.array([joint.effort for joint in found])
-        self.velocity = np.array([joint.velocity for joint in found])
+        servos = self.config.servos
+        self.effort = servos.of("effort", order, np.array([joint.effort for joint in found]))
+        self.velocity = servos.of("velocity", order, np.array([joint.velocity for joint in found]))
         self.ignored_joints = tuple(n for n in all_joints if n not in couplings and n not in order)
 
     def _map_fingers(self, chains: list[list[int]]) -> None:
@@ -357,6 +371,36 @@ def _file(path: object) -> Path:
     if not exists:
         raise HandModelError(f"{shown if len(str(found)) > 400 else found}: no such file")
     return found
+
+
+def _coupled(description: Description, config: HandConfig) -> Description:
+    """The description with the couplings that its owner adds."""
+    if not config.couplings:
+        return description
+    known = [joint.name for body in description.bodies for joint in body.joints]
+    for follower, coupling in config.couplings.items():
+        for name in (follower, coupling.joint):
+            if name not in known:
+                raise UnknownName("joint in couplings", name, known)
+    added = {
+        follower: Mimic(coupling.joint, coupling.scale, coupling.offset)
+        for follower, coupling in config.couplings.items()
+    }
+    return replace(description, mimics={**description.mimics, **added})
+
+
+def _offsets(path: Path, fingertips: Sequence[str] | Mapping[str, ArrayLike]) -> dict[str, Any]:
+    """Fingertips with their offsets, those of a list at the origins of their frames."""
+    if isinstance(fingertips, str) or not len(fingertips):
+        raise HandModelError(
+            f"{path}: fingertips is {fingertips!r}; expected a list of body or site names"
+        )
+    if isinstance(fingertips, Mapping):
+        return dict(fingertips)
+    names = list(fingertips)
+    if len(set(names)) != len(names):
+        raise HandModelError(f"{path}: a fingertip is named twice in {names}")
+    return dict.fromkeys(names, (0.0, 0.0, 0.0))
 
 
 def _stacked(views: list[Floats]) -> Floats:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Mapping
-from dataclasses import field, fields, is_dataclass, make_dataclass, replace
+from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import (
@@ -105,9 +105,14 @@ def from_plain(kind: type[C], values: Mapping[str, Any], where: str = "") -> C:
 
     Raises:
         UnknownName: no such setting.
-        InvalidInput: a value of the wrong kind, or out of range.
+        InvalidInput: a value of the wrong kind, out of range, or missing.
     """
-    return kind(**_arguments(kind, values, where))
+    found = _arguments(kind, values, where)
+    needed = [one.name for one in fields(cast(Any, kind)) if one.init and _has_no_default(one)]
+    missing = [name for name in needed if name not in found]
+    if missing:
+        raise InvalidInput(f"{where or kind.__name__} lacks {', '.join(missing)}")
+    return kind(**found)
 
 
 def changed(config: C, values: Mapping[str, Any], where: str = "") -> C:
@@ -214,6 +219,10 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
+def _has_no_default(one: Field[Any]) -> bool:
+    return one.default is MISSING and one.default_factory is MISSING
+
+
 @cache
 def _hints(kind: type) -> Mapping[str, Any]:
     """The kinds of the fields, without what is only for the command line."""
@@ -283,6 +292,10 @@ def _fit(kind: Any, value: Any, where: str) -> tuple[bool, Any]:
         return True, from_plain(cast(type, kind), value, where)
     if origin is tuple:
         return _fit_tuple(inner, value, where)
+    if origin is dict:  # by names that the owner chooses
+        if not isinstance(value, Mapping):
+            return False, value
+        return True, {name: _value(inner[1], one, f"{where}.{name}") for name, one in value.items()}
     return _fit_scalar(kind, value)
 
 
@@ -334,6 +347,8 @@ def describe(kind: Any) -> str:
         if inner[-1] is Ellipsis:
             return f"a list, each {describe(inner[0])}"
         return f"{len(inner)} values, each {describe(inner[0])}"
+    if origin is dict:
+        return f"a table by name, each {describe(inner[1])}"
     if is_dataclass(kind):
         return "a table of settings"
     return _WORDS.get(kind, getattr(kind, "__name__", str(kind)))

@@ -21,8 +21,11 @@ def main(folder: str, seconds: float = 5.0) -> None:
         },
     )
     print(f"{hand.n_fingers} fingers, {hand.nq} joints: {', '.join(hand.joint_names)}")
-    # dexctl.hands.load("wonik_allegro", folder=folder) is the same hand, and knows where it holds
-    scene = Scene.build(hand, "sphere", grasp_centre=(0.015, -0.018, 0.09), object_size=0.07)
+    # where it holds what, and from which posture; dexctl.hands.load("wonik_allegro") knows
+    opened = {f"{finger}j{k}": 0.6 for finger in ("ff", "mf", "rf") for k in (1, 2, 3)}
+    opened |= {"thj0": 1.3, "thj1": 0.2, "thj2": 0.35, "thj3": 0.35}
+    place = (0.015, -0.018, 0.09)
+    scene = Scene.build(hand, "sphere", grasp_centre=place, object_size=0.07, open_q=opened)
     controller, sim = dexctl.InGraspManipulation(hand), BatchSimulator(scene)
     sim.reset(seed=0)
     trace = run(controller, sim, seconds)

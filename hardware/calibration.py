@@ -94,7 +94,7 @@ class Calibration:
         """Servos 1 to d, mounted so that joint angle 0 is the middle of a turn (2048 ticks)."""
         ones = np.ones(hand.nq)
         return cls(
-            hand=hand.path.stem,
+            hand=hand.name,
             joint_names=tuple(hand.joint_names),
             servo=np.arange(1, hand.nq + 1),
             sign=ones.astype(int),

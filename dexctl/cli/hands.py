@@ -11,6 +11,7 @@ from typing import Any
 
 from dexctl import hands
 from dexctl.cli.parsing import Switch
+from dexctl.hand_config import MENAGERIE
 
 
 @dataclass(kw_only=True)
@@ -48,20 +49,21 @@ def describe(name: str) -> dict[str, Any]:
 
     ``files`` is "built in", "here", "missing", or "on demand" where a download would come first.
     """
-    hand = hands.entry(name)
-    path, files = None, "missing"
+    hand = hands.config(name)
     folder = os.environ.get("DEXCTL_MENAGERIE")
-    if not hand.menagerie:
-        path, files = Path(hands.__file__).parent / hand.file, "built in"
+    of_menagerie = str(hand.description).startswith(MENAGERIE)
+    path, files = None, "missing"
+    if not of_menagerie:
+        path, files = hand.description, "built in" if hands.is_own(name) else "here"
     elif folder:
-        path = Path(folder).expanduser() / hand.file
+        path = Path(folder).expanduser() / str(hand.description).removeprefix(MENAGERIE)
         files = "here"
     elif find_spec("mujoco_menagerie") is not None:
         files = "on demand"
     if path is not None and not path.is_file():
         path, files = None, "missing"
     return {
-        "description": hand.description,
+        "description": hand.about,
         "fingers": len(hand.fingertips),
         "joints": None if path is None else _count_joints(path),
         "files": files,

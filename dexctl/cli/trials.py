@@ -94,7 +94,7 @@ def make_controller(
     except InvalidInput as error:
         if not known:
             raise
-        raise SimulationError(f"{name} cannot drive {hand.path.stem}: {error}") from error
+        raise SimulationError(f"{name} cannot drive {hand.name}: {error}") from error
 
 
 def paced(config: SceneConfig, controller: Controller) -> SceneConfig:

@@ -132,7 +132,7 @@ class StateSampler:
         if tuple(states.joint_names) != tuple(hand.joint_names):
             raise InvalidInput(
                 f"the grasp states are of the hand {states.hand!r}, whose "
-                f"{len(states.joint_names)} joints are not the {hand.nq} of {hand.path.stem!r}"
+                f"{len(states.joint_names)} joints are not the {hand.nq} of {hand.name!r}"
             )
         known = sorted(set(states.object.tolist()))
         missing = sorted(set(objects) - set(known))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,13 +89,13 @@ class Scene:
         friction: float | ArrayLike = 1.0,
         object_mesh: str | Path | None = None,
         grasp_centre: ArrayLike | None = None,
-        open_q: ArrayLike | None = None,
+        open_q: ArrayLike | Mapping[str, float] | None = None,
         grip: float = 2.0,
     ) -> Scene:
         """Put a hand and an object into one scene.
 
         Args:
-            hand: the hand, or its name.
+            hand: the hand, its name, or its file.
             object: one of `object_names`, or "mesh" with ``object_mesh``.
             gravity: "up" (the palm looks up), "down", or a vector ``(3,)`` [m/s^2].
             object_mass: [kg].
@@ -103,10 +104,10 @@ class Scene:
             friction: sliding coefficient of the object, or (sliding, torsional [m], rolling [m]).
             object_mesh: STL or OBJ file of the object. MuJoCo uses its convex hull; decomposing a
                 concave object into convex parts is the user's part.
-            grasp_centre: where the hand holds the object, ``(3,)`` [m]. Default: from the list of
-                hands; must be given for others.
-            open_q: joints of the open hand, ``(d,)`` [rad]. Default: from the list of hands, else
-                the middle of each range.
+            grasp_centre: where the hand holds the object, ``(3,)`` [m]. Default: as the hand's
+                toml says.
+            open_q: joints of the open hand, ``(d,)`` or by name [rad]. Default, and for joints
+                that are left out: as the hand's toml says, else the middle of each range.
             grip: normal force that each finger of the settled grasp aims at [N].
 
         Raises:
@@ -115,21 +116,20 @@ class Scene:
             SimulationError: MuJoCo cannot compile the scene, or a joint has no position servo.
         """
         model = hands.load(hand) if isinstance(hand, str) else hand
-        entry = _entry_of(model)
-        if entry is None and (grasp_centre is None or (object_size is None and object != MESH)):
-            raise InvalidInput(
-                f"{model.path.name} is not one of the known hands ({', '.join(hands.names())}): "
-                "say where and what it holds with grasp_centre=(x, y, z) and object_size, both in m"
-            )
-        if object_size is None:
-            width = 0.0 if object == MESH or entry is None else 2 * entry.object_radius
-        else:
+        held = model.config.object
+        if object_size is not None:
             width = checks.positive("object_size", object_size)
-        if grasp_centre is None and entry is not None:
-            grasp_centre = entry.grasp_centre
-        centre = checks.vector("grasp_centre", grasp_centre, 3)
-        if open_q is None:
-            opened = _open_hand(model, entry.open_q if entry else {})
+        else:
+            width = 0.0 if object == MESH else held.size
+        place = held.centre if grasp_centre is None else grasp_centre
+        if place is None or width is None:
+            raise InvalidInput(
+                f"{model.name} does not say where and what it holds: say so in its toml, [object] "
+                "centre and size, or with grasp_centre=(x, y, z) and object_size, all in m"
+            )
+        centre = checks.vector("grasp_centre", place, 3)
+        if open_q is None or isinstance(open_q, Mapping):
+            opened = model.posture({**model.config.postures.open, **(open_q or {})})
         else:
             opened = model.clip(checks.vector("open_q", open_q, model.nq))
         mass = checks.positive("object_mass", object_mass)
@@ -239,7 +239,7 @@ class Scene:
         self.upper = np.where(limited, np.minimum(hand.upper, ends[:, 1]), hand.upper)
 
     def __repr__(self) -> str:
-        return f"Scene({self.hand.path.stem!r}, {self.object!r}, gravity={self.gravity.tolist()})"
+        return f"Scene({self.hand.name!r}, {self.object!r}, gravity={self.gravity.tolist()})"
 
 
 def _compile(spec: mujoco.MjSpec, hand: HandModel) -> mujoco.MjModel:
@@ -273,24 +273,6 @@ def _touchable_bodies(spec: mujoco.MjSpec, hand: HandModel) -> tuple[str, ...]:
     if any(geom.contype or geom.conaffinity for geom in spec.worldbody.geoms):
         found.append("world")
     return tuple(found)
-
-
-def _entry_of(hand: HandModel) -> hands.HandEntry | None:
-    """The list's entry of a hand, if it came from the same file with the same fingertips."""
-    for name in hands.names():
-        entry = hands.entry(name)
-        same_file = hand.path.name == Path(entry.file).name
-        if same_file and set(hand.fingertip_names) == set(entry.fingertips):
-            return entry
-    return None
-
-
-def _open_hand(hand: HandModel, angles: dict[str, float]) -> Floats:
-    middle = np.where(
-        np.isfinite(hand.lower) & np.isfinite(hand.upper), (hand.lower + hand.upper) / 2, 0.0
-    )
-    named = [angles.get(name, middle[i]) for i, name in enumerate(hand.joint_names)]
-    return hand.clip(np.array(named))
 
 
 def _friction(friction: float | ArrayLike) -> tuple[float, float, float]:

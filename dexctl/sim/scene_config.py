@@ -71,7 +71,7 @@ class SceneConfig:
     def __post_init__(self) -> None:
         if isinstance(self.object, str):
             object.__setattr__(self, "object", (self.object,))
-        hands.entry(self.hand)
+        hands.check(self.hand)
         if not self.object:
             raise InvalidInput("object is (); expected a name, or several")
         gravity_vector(self.gravity)

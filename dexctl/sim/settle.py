@@ -64,7 +64,7 @@ def settle(scene: Scene) -> SettledGrasp:
             return grasp
         reasons.append(f"turned by {np.rad2deg(yaw):.0f} deg: {reason}")
     raise SimulationError(
-        f"{scene.hand.path.stem} does not hold {scene.object!r} (width {scene.object_width:g} m, "
+        f"{scene.hand.name} does not hold {scene.object!r} (width {scene.object_width:g} m, "
         f"{scene.object_mass:g} kg) at {scene.grasp_centre.tolist()}: {reasons[0]}"
     )
 
@@ -119,7 +119,7 @@ class _HeldObject:
             outward = np.array([tip[0] - centre[0], tip[1] - centre[1], 0.0])
             if np.linalg.norm(outward) < 1e-6:
                 raise SimulationError(
-                    f"{self.hand.path.stem}: the open fingertip {self.hand.fingertip_names[i]!r} "
+                    f"{self.hand.name}: the open fingertip {self.hand.fingertip_names[i]!r} "
                     f"is straight above or below the grasp centre {centre.tolist()}"
                 )
             outward /= np.linalg.norm(outward)

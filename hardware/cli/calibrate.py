@@ -74,7 +74,7 @@ def from_poses(
         if not sign[i] * low[i] <= 0.05 or not sign[i] * up[i] >= -0.05:
             raise InvalidInput(f"zero of {name} (servo {servo[i]}) is not between its ends")
     return Calibration(
-        hand=hand.path.stem,
+        hand=hand.name,
         joint_names=tuple(hand.joint_names),
         servo=np.asarray(servo, int),
         sign=sign,

@@ -80,11 +80,11 @@ def learned(
         UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.
     """
     if policy is None:
-        own = [name for name in names() if name.startswith(f"{hand.path.stem}-")]
+        own = [name for name in names() if name.startswith(f"{hand.name}-")]
         if not own:
             known = sorted({name.rpartition("-")[0] for name in names()})
             raise InvalidInput(
-                f"no learned policy comes with dexctl for the hand {hand.path.stem!r}; there is "
+                f"no learned policy comes with dexctl for the hand {hand.name!r}; there is "
                 f"one for {', '.join(known)}, and `dexctl train` makes others"
             )
         own.sort(key=lambda name: not name.endswith("-easy"))

@@ -88,7 +88,7 @@ class PolicySpec(NamedTuple):
         if own != (tuple(hand.joint_names), tuple(hand.fingertip_names)):
             raise InvalidInput(
                 f"the policy is for the hand {self.hand!r} ({len(self.joint_names)} joints, "
-                f"{len(self.fingertip_names)} fingers); got {hand.path.stem!r} ({hand.nq} joints, "
+                f"{len(self.fingertip_names)} fingers); got {hand.name!r} ({hand.nq} joints, "
                 f"{hand.n_fingers} fingers)"
             )
 

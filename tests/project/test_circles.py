@@ -8,8 +8,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("dexctl", "learning", "hardware")
-# a scene finds its own settled grasp, and the search for it needs nothing but the scene
-ONE_MATTER = [{"dexctl.sim.scene", "dexctl.sim.settle"}]
+ONE_MATTER = [
+    # a scene finds its own settled grasp, and the search for it needs nothing but the scene
+    {"dexctl.sim.scene", "dexctl.sim.settle"},
+    # a hand's configuration builds the hand, which knows it, and is loaded by its name
+    {"dexctl.hand", "dexctl.hand_config", "dexctl.hands.registry"},
+]
 
 
 def dotted(path: Path, root: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -129,15 +130,15 @@ def test_an_unknown_hand_needs_to_say_what_it_holds(tmp_path: Path, dex5: HandMo
     path = tmp_path / "mine.xml"
     path.write_text(dex5.path.read_text())
     mine = HandModel.from_mjcf(path, list(dex5.fingertip_names))
-    with pytest.raises(InvalidInput, match=r"mine.xml is not one of the known hands \(dex5"):
+    with pytest.raises(InvalidInput, match=r"mine does not say where and what it holds.*centre"):
         Scene.build(mine, "cube")
-    opened = hands.entry("dex5").open_q
+    opened = hands.config("dex5").postures.open
     scene = Scene.build(
         mine,
         "cube",
         object_size=0.1,
         grasp_centre=(0, 0, 0.13),
-        open_q=[opened[name] for name in mine.joint_names],
+        open_q=opened,
     )
     np.testing.assert_array_equal(scene.settled.qpos, Scene.build("dex5", "cube").settled.qpos)
 
@@ -146,7 +147,7 @@ def test_a_joint_without_servo_is_named(tmp_path: Path, dex5: HandModel) -> None
     path = tmp_path / "dex5.xml"
     lines = dex5.path.read_text().splitlines()
     path.write_text("\n".join(line for line in lines if 'joint="f2_roll"' not in line))
-    hand = HandModel.from_mjcf(path, list(dex5.fingertip_names))
+    hand = replace(dex5.config, description=path).build()
     with pytest.raises(SimulationError, match="no position actuator drives f2_roll;"):
         Scene.build(hand, "cube")
 
@@ -155,7 +156,7 @@ def test_servo_maps_follow_gear(tmp_path: Path, dex5: HandModel) -> None:
     text = dex5.path.read_text().replace('joint="f2_roll"/>', 'joint="f2_roll" gear="2"/>')
     path = tmp_path / "dex5.xml"
     path.write_text(text)
-    scene = Scene.build(HandModel.from_mjcf(path, list(dex5.fingertip_names)), "cube")
+    scene = Scene.build(replace(dex5.config, description=path).build(), "cube")
     joint = scene.hand.joint_names.index("f2_roll")
     assert scene.ctrl_per_radian[joint] == 2.0
     assert scene.stiffness[joint] == pytest.approx(12.0)  # kp 3, gear squared

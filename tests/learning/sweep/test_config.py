@@ -171,7 +171,7 @@ def protocols_of(given: dict[str, Any], folder: Path) -> list[Protocol]:
 @pytest.fixture
 def any_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     """Names of hands are not looked up: there need not be a second one."""
-    monkeypatch.setattr("dexctl.hands.entry", lambda name: None)
+    monkeypatch.setattr("dexctl.hands.check", lambda name: None)
 
 
 @pytest.mark.parametrize("path", list(paths(Protocol)))

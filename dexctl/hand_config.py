@@ -1,0 +1,272 @@
+"""HandConfig: all that is said of a hand beside its description file; what a my_hand.toml holds."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
+from dexctl.state import Floats
+
+if TYPE_CHECKING:
+    from dexctl.hand import HandModel
+
+MENAGERIE = "menagerie:"
+"""What the name of a file of the MuJoCo menagerie begins with."""
+
+Vector3 = tuple[float, float, float]
+ByJoint = float | dict[str, float] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PalmConfig:
+    """How the hand sits in the description file's world frame."""
+
+    axis: Vector3 = (0.0, 0.0, 1.0)
+    """Where the palm looks, in the file's world frame; of any length. z of the hand's frame."""
+    up: Vector3 = (1.0, 0.0, 0.0)
+    """Where the stretched fingers point, in the file's world frame; x of the hand's frame when it
+    is made perpendicular to `axis`."""
+
+    def __post_init__(self) -> None:
+        for name in ("axis", "up"):
+            vector = np.asarray(getattr(self, name), float)
+            if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+                raise HandModelError(
+                    f"palm.{name} is {getattr(self, name)!r}; expected three finite numbers, not "
+                    "all zero"
+                )
+        axis, up = (np.asarray(v, float) / np.linalg.norm(v) for v in (self.axis, self.up))
+        if np.linalg.norm(np.cross(axis, up)) < 1e-3:
+            raise HandModelError(
+                f"palm.up is {self.up!r}, along palm.axis, {self.axis!r}; expected where the "
+                "fingers point, which is another direction"
+            )
+
+    @property
+    def rotation(self) -> Floats:
+        """From the file's world frame into the hand's ``(3, 3)``: z is `axis`, x `up`."""
+        z = np.asarray(self.axis, float) / np.linalg.norm(self.axis)
+        up = np.asarray(self.up, float) / np.linalg.norm(self.up)
+        x = up - (up @ z) * z
+        x /= np.linalg.norm(x)
+        return np.array([x, np.cross(z, x), z])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoConfig:
+    """The servos of the joints: one number for all, a table by joint, or none: as in the file."""
+
+    stiffness: ByJoint = None
+    """Joint torque per radian between set-point and joint [N m/rad]."""
+    damping: ByJoint = None
+    """Joint torque per speed of the joint [N m s/rad]."""
+    effort: ByJoint = None
+    """Torque limit [N m]."""
+    velocity: ByJoint = None
+    """Speed limit [rad/s]."""
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "damping", "effort", "velocity"):
+            value = getattr(self, name)
+            table = value if isinstance(value, Mapping) else {} if value is None else {"": value}
+            for joint, one in table.items():
+                if not (np.isfinite(one) and one >= 0 and (one > 0 or name == "damping")):
+                    where = f"servos.{name}" + (f".{joint}" if joint else "")
+                    least = "0 or more" if name == "damping" else "above 0"
+                    raise HandModelError(f"{where} is {one!r}; expected a finite number {least}")
+
+    def of(self, name: str, joints: Sequence[str], default: Floats | float = np.nan) -> Floats:
+        """One of the settings for each of ``joints`` ``(d,)``, ``default`` where nothing is said.
+
+        Raises:
+            UnknownName: a table names another joint.
+        """
+        value = getattr(self, name)
+        found = np.broadcast_to(np.asarray(default, float), (len(joints),)).copy()
+        if isinstance(value, Mapping):
+            for joint, one in value.items():
+                if joint not in joints:
+                    raise UnknownName(f"joint in servos.{name}", joint, joints)
+                found[list(joints).index(joint)] = one
+        elif value is not None:
+            found[:] = value
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureConfig:
+    """Joints by name [rad]; one that is left out is at the middle of its range."""
+
+    open: dict[str, float] = field(default_factory=dict)
+    """The open hand, from which the fingers close on an object."""
+    grasp: dict[str, float] = field(default_factory=dict)
+    """The fingertips about to touch the object; none: found when the grasp is settled."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldObject:
+    """Where the hand holds objects, and which."""
+
+    centre: Vector3 | None = None
+    """Centre of the object, in the hand's frame (z: where the palm looks) [m]."""
+    size: float | None = None
+    """Width of the objects that suit the hand [m]."""
+    shape: str | None = None
+    """Name of the object that suits the hand best."""
+
+    def __post_init__(self) -> None:
+        if self.centre is not None and not np.isfinite(self.centre).all():
+            raise HandModelError(f"object.centre is {self.centre!r}; expected three finite numbers")
+        if self.size is not None and not (np.isfinite(self.size) and self.size > 0):
+            raise HandModelError(f"object.size is {self.size!r}; expected a finite number above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coupling:
+    """A joint that follows another: its position is ``scale * joint + offset``."""
+
+    joint: str
+    """The joint that is followed."""
+    scale: float = 1.0
+    """[rad/rad]"""
+    offset: float = 0.0
+    """[rad]"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandConfig:
+    """A hand: its description file, and what that file does not say.
+
+    Raises:
+        HandModelError: a value is out of range.
+    """
+
+    description: Path
+    """MJCF or URDF file; in a toml, relative to it. ``menagerie:FOLDER/FILE`` is one of the MuJoCo
+    menagerie, from the folder DEXCTL_MENAGERIE or the package mujoco-menagerie."""
+    name: str = ""
+    """What people read and files note; none: the name of the toml, else of the description."""
+    about: str = ""
+    """One line for people."""
+    fingertips: dict[str, Vector3]
+    """One body, site or link for each finger, in the order of the fingers, and where the tip is in
+    its frame [m]."""
+    joints: tuple[str, ...] | None = None
+    """The joints in the order of the controller board; none: finger by finger, base to tip."""
+    palm: PalmConfig = field(default_factory=PalmConfig)
+    servos: ServoConfig = field(default_factory=ServoConfig)
+    postures: PostureConfig = field(default_factory=PostureConfig)
+    object: HeldObject = field(default_factory=HeldObject)
+    couplings: dict[str, Coupling] = field(default_factory=dict)
+    """Joints that follow others, beside those of which the file says so."""
+    source: Path | None = field(default=None, compare=False)
+    """The toml that this was read from; not a setting."""
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            object.__setattr__(self, "name", self.description.stem)
+        if not self.fingertips:
+            raise HandModelError("fingertips is empty; expected one body, site or link per finger")
+        tips = {tip: self._offset(tip, offset) for tip, offset in self.fingertips.items()}
+        object.__setattr__(self, "fingertips", tips)
+
+    def _offset(self, fingertip: str, value: Any) -> Vector3:
+        try:
+            offset = np.asarray(value, float)
+        except (TypeError, ValueError):
+            offset = np.array(np.nan)
+        if offset.shape != (3,) or not np.isfinite(offset).all():
+            raise HandModelError(
+                f"{self.description}: fingertip {fingertip!r} has the offset {value!r}; expected "
+                "three lengths in metres"
+            )
+        x, y, z = offset.tolist()
+        return x, y, z
+
+    @classmethod
+    def read(cls, path: str | Path) -> HandConfig:
+        """The configuration in a toml file.
+
+        Raises:
+            HandModelError: no such file, no TOML, something is missing or out of range.
+            UnknownName, InvalidInput: a setting that there is not, or of the wrong kind.
+        """
+        from dexctl.settings import from_plain  # needs tyro, which `import dexctl` does without
+
+        path = Path(path).expanduser()
+        try:
+            values = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise HandModelError(f"{path}: {error.strerror or error}") from None
+        except ValueError as error:  # TOMLDecodeError, or no text
+            raise HandModelError(f"{path}: not a TOML file: {error}") from None
+        if "source" in values:
+            raise UnknownName(f"setting of {path.name}", "source", ["description", "fingertips"])
+        try:
+            config = from_plain(cls, {"name": path.stem, **values}, path.name)
+        except InvalidInput as error:
+            raise InvalidInput(f"{path}: {error}") from None
+        except HandModelError as error:
+            raise HandModelError(f"{path}: {error}") from None
+        file = config.description
+        if not str(file).startswith(MENAGERIE):
+            file = (path.parent / file.expanduser()).absolute()
+        return replace(config, description=file, source=path.absolute())
+
+    def write(self, path: str | Path, comments: Mapping[str, str] | None = None) -> None:
+        """Write the toml that `read` reads.
+
+        Args:
+            path: the file; a description file in its folder, or below, is named relative to it.
+            comments: what stands above a setting or table, by its dotted path (``"palm.axis"``).
+        """
+        from dexctl.files import write_text
+        from dexctl.hand_toml import to_toml
+
+        path = Path(path).expanduser().absolute()
+        file = self.description
+        if not str(file).startswith(MENAGERIE):
+            file = file.expanduser().absolute()
+            file = file.relative_to(path.parent) if file.is_relative_to(path.parent) else file
+        write_text(path, to_toml(replace(self, description=file), comments or {}))
+
+    def file(self, folder: str | Path | None = None) -> Path:
+        """Where the description file is.
+
+        Args:
+            folder: for files of the menagerie, the folder that holds its folders. Default: the
+                environment variable DEXCTL_MENAGERIE, else the `mujoco-menagerie` package.
+
+        Raises:
+            HandModelError: it is not to be had; the message says how to get it.
+        """
+        name = str(self.description)
+        if name.startswith(MENAGERIE):
+            from dexctl.hands.menagerie import find
+
+            return find(self.name, name.removeprefix(MENAGERIE), folder)
+        path = self.description.expanduser()
+        if not path.is_file():
+            raise HandModelError(f"{path}: no such file")
+        return path
+
+    def build(self, *, folder: str | Path | None = None) -> HandModel:
+        """The hand.
+
+        Args:
+            folder: see :meth:`file`.
+
+        Raises:
+            HandModelError: the file is not to be had or holds no such hand.
+            UnknownName: a fingertip or a joint is not in the file.
+        """
+        from dexctl.description import read
+        from dexctl.hand import HandModel
+
+        return HandModel(read(self.file(folder)), self)
