@@ -25,8 +25,10 @@ from dexctl.exceptions import (
     UnknownName,
 )
 from dexctl.hand import HandModel
+from dexctl.joint_touch import JointTouch
 from dexctl.plant import Plant
 from dexctl.state import GraspState
+from dexctl.touch import TouchConfig
 
 if TYPE_CHECKING:
     from dexctl import gait, grasp, igm, sim, switch
@@ -50,10 +52,12 @@ __all__ = [
     "HandModelError",
     "InGraspManipulation",
     "InvalidInput",
+    "JointTouch",
     "MissingExtra",
     "Plant",
     "SimulationError",
     "Superposition",
+    "TouchConfig",
     "UnknownName",
     "__version__",
     "gait",

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from dexctl.touch import (
+    Bools,
+    Floats,
+    Hand,
+    TouchConfig,
+    estimate_touch,
+    per_joint,
+    servo_torques,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +76,136 @@ class GraspState:
                 shape = np.shape(value)
                 _check_shape(self, name, shape, batch if shape else ())
 
+    @classmethod
+    def from_joint_torques(
+        cls,
+        hand: Hand,
+        q: ArrayLike,
+        q_target: ArrayLike,
+        stiffness: ArrayLike | None = None,
+        *,
+        torque: ArrayLike | None = None,
+        free_torque: ArrayLike | None = None,
+        touched: ArrayLike | None = None,
+        config: TouchConfig | None = None,
+        object_position: ArrayLike | None = None,
+        object_quaternion: ArrayLike | None = None,
+        time: Floats | float = 0.0,
+        age: Floats | float = 0.0,
+    ) -> GraspState:
+        """The state of a hand without touch sensors, by what its joints push against.
+
+        At one moment and for joints at rest; `dexctl.JointTouch` smooths, remembers what touched
+        and makes allowance for joints that move.
+
+        Args:
+            hand: the `HandModel`.
+            q, q_target: ``(..., d)`` [rad].
+            stiffness: of the servos, ``(d,)`` or one number [N m/rad]; the torque is
+                stiffness * (q_target - q), within the hand's limits.
+            torque: in its place what was measured (motor current times the motor's constant and
+                the gear ratio), ``(..., d)`` [N m], positive where it moves the joint up.
+            free_torque: the part that holds the finger itself, as measured with nothing in the
+                hand, ``(..., d)`` [N m]; it is taken off.
+            touched: which fingers touched before ``(..., m)``, for the lower of the two
+                thresholds of ``config``; None: none did.
+            config: the thresholds; None: the defaults.
+            object_position, object_quaternion, time, age: as of the state.
+
+        Raises:
+            InvalidInput: shapes that do not belong together, or both or neither of ``stiffness``
+                and ``torque``.
+        """
+        if stiffness is None and torque is None:
+            raise InvalidInput("neither stiffness nor torque is given; expected one of them")
+        pose = {"object_position": object_position, "object_quaternion": object_quaternion}
+        servos = (stiffness, torque, free_torque)
+        return cls._sensed(
+            hand, q, q_target, servos, config, {"touched": touched}, **pose, time=time, age=age
+        )
+
+    @classmethod
+    def from_binary_touch(
+        cls,
+        hand: Hand,
+        q: ArrayLike,
+        q_target: ArrayLike,
+        in_contact: ArrayLike,
+        stiffness: ArrayLike | None = None,
+        *,
+        torque: ArrayLike | None = None,
+        free_torque: ArrayLike | None = None,
+        config: TouchConfig | None = None,
+        object_position: ArrayLike | None = None,
+        object_quaternion: ArrayLike | None = None,
+        time: Floats | float = 0.0,
+        age: Floats | float = 0.0,
+    ) -> GraspState:
+        """The state of a hand whose fingertips say whether they touch, and nothing more.
+
+        Forces and normals are those of `from_joint_torques` where stiffness or torque is given;
+        else the normals point to the object's centre (without tracking, the fingertips' centroid)
+        and the force is nominal, so that controllers cannot regulate it.
+
+        Args:
+            hand, q, q_target: as in `from_joint_torques`.
+            in_contact: which fingertips touch, ``(..., m)``.
+            stiffness, torque, free_torque: as there, or none of them.
+            config: ``nominal_force`` and the fingertips' radius; None: the defaults.
+            object_position, object_quaternion, time, age: as of the state.
+
+        Raises:
+            InvalidInput: shapes that do not belong together.
+        """
+        pose = {"object_position": object_position, "object_quaternion": object_quaternion}
+        servos, switches = (stiffness, torque, free_torque), {"in_contact": in_contact}
+        return cls._sensed(hand, q, q_target, servos, config, switches, **pose, time=time, age=age)
+
+    @classmethod
+    def _sensed(
+        cls,
+        hand: Hand,
+        q: ArrayLike,
+        q_target: ArrayLike,
+        servos: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
+        config: TouchConfig | None,
+        fingers: Mapping[str, ArrayLike | None],
+        **pose: Any,
+    ) -> GraspState:
+        """The state by stiffness, torque and free torque, and by what is known of the fingers."""
+        stiffness, torque, free_torque = servos
+        if stiffness is not None and torque is not None:
+            raise InvalidInput("both stiffness and torque are given; expected one of them")
+        joints = {"q": _floats("q", q), "q_target": _floats("q_target", q_target)}
+        for name, value in joints.items():
+            if value.shape != joints["q"].shape or value.shape[-1:] != (hand.nq,):
+                raise InvalidInput(f"{name} has shape {value.shape}; expected (..., {hand.nq})")
+        pressing = None
+        if stiffness is not None:
+            pressing = servo_torques(hand, **joints, stiffness=stiffness)
+        elif torque is not None:
+            pressing = per_joint(hand, "torque", torque)
+        if pressing is not None and free_torque is not None:
+            pressing = pressing - per_joint(hand, "free_torque", free_torque)
+        shape = (*joints["q"].shape[:-1], hand.n_fingers)
+        known = {
+            name: np.asarray(value, bool) for name, value in fingers.items() if value is not None
+        }
+        for name, value in known.items():
+            if value.shape != shape:
+                raise InvalidInput(f"{name} has shape {value.shape}; expected {shape}")
+        place = pose["object_position"]
+        if place is not None:
+            place = pose["object_position"] = _floats("object_position", place)
+            if place.shape != (*shape[:-1], 3):
+                raise InvalidInput(
+                    f"object_position has shape {place.shape}; expected {(*shape[:-1], 3)}"
+                )
+        found = estimate_touch(
+            hand, joints["q"], pressing, config or TouchConfig(), **known, object_position=place
+        )
+        return cls(**joints, **found._asdict(), **pose)
+
     @property
     def batch_shape(self) -> tuple[int, ...]:
         """``()`` for one hand, ``(N,)`` for N."""
@@ -113,6 +250,13 @@ def merged(chosen: Bools, state: GraspState, other: GraspState) -> GraspState:
         a, b = np.asarray(value), np.asarray(getattr(other, name))
         values[name] = np.where(chosen.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
     return replace(state, **values)
+
+
+def _floats(name: str, value: ArrayLike) -> Floats:
+    try:
+        return np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} is {value!r}; expected numbers") from None
 
 
 def _array(state: GraspState, name: str, kind: type = float) -> NDArray:

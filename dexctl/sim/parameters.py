@@ -43,6 +43,10 @@ def _damping(scene: Scene, model: mujoco.MjModel, value: float) -> None:
     model.dof_damping[scene.qvel_columns] = value
 
 
+def _gear_friction(scene: Scene, model: mujoco.MjModel, value: float) -> None:
+    model.dof_frictionloss[scene.qvel_columns] = value
+
+
 _SETTERS: dict[str, tuple[Callable[[Scene, mujoco.MjModel, float], None], bool]] = {
     # name: (setter, whether zero is allowed)
     "friction": (_friction, True),
@@ -50,6 +54,7 @@ _SETTERS: dict[str, tuple[Callable[[Scene, mujoco.MjModel, float], None], bool]]
     "kp": (_kp, False),
     "kv": (_kv, True),
     "damping": (_damping, True),
+    "gear_friction": (_gear_friction, True),
 }
 
 

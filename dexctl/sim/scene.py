@@ -46,6 +46,8 @@ class Scene:
         actuators: the position servo of each of the d joints.
         ctrl_per_radian: control value of that servo per radian of its joint, ``(d,)``.
         stiffness: joint torque per radian of set-point error, ``(d,)`` [N m/rad].
+        damping: joint torque per speed of the joint, of servo and joint together, ``(d,)``
+            [N m s/rad].
         lower, upper: set-point limits, ``(d,)`` [rad]: of the joint and of its servo.
     """
 
@@ -233,6 +235,8 @@ class Scene:
         gear = model.actuator_gear[self.actuators, 0]
         self.ctrl_per_radian = gear.copy()
         self.stiffness = model.actuator_gainprm[self.actuators, 0] * gear**2
+        servo = -model.actuator_biasprm[self.actuators, 2] * gear**2
+        self.damping = servo + model.dof_damping[self.qvel_columns]
         limited = model.actuator_ctrllimited[self.actuators].astype(bool)
         ends = np.sort(model.actuator_ctrlrange[self.actuators] / gear[:, None], axis=1)
         self.lower = np.where(limited, np.maximum(hand.lower, ends[:, 0]), hand.lower)

@@ -25,7 +25,12 @@ if TYPE_CHECKING:
 
 
 # settings that are parameters of the simulator, and what it calls them
-_PARAMETERS = {"object_friction": "friction", "stiffness": "kp", "damping": "kv"}
+_PARAMETERS = {
+    "object_friction": "friction",
+    "stiffness": "kp",
+    "damping": "kv",
+    "gear_friction": "gear_friction",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +59,8 @@ class SceneConfig:
     """Stiffness of the joints' servos [N m/rad]; none: as the hand's file has it."""
     damping: float | None = None
     """Damping of the joints' servos [N m s/rad]; none: as the hand's file has it."""
+    gear_friction: float | None = None
+    """Dry friction of the joints' gears [N m]; none: as the hand's file has it."""
     control_period: float = 0.05
     """Time of one control step [s]."""
     substeps: int = 10
@@ -93,7 +100,11 @@ class SceneConfig:
 
     def undisturbed(self) -> SceneConfig:
         """The same without noise, latency of the sensors, pushes and given starts."""
-        sensing = Sensing(touch_threshold=self.sensing.touch_threshold)
+        sensing = Sensing(
+            touch=self.sensing.touch,
+            joint_touch=self.sensing.joint_touch,
+            touch_threshold=self.sensing.touch_threshold,
+        )
         push = replace(self.push, push_force=0.0)
         return replace(self, sensing=sensing, push=push, initial_states=None)
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Literal
 
 import numpy as np
 
+from dexctl.joint_touch import JointTouch
+from dexctl.settings import NESTED
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams, StreamsState
-from dexctl.validation import check_numbers
+from dexctl.touch import TouchConfig
+from dexctl.validation import check_kind, check_name, check_numbers
+
+Touch = Literal["full", "binary", "joint-torque"]
+TOUCHES: tuple[Touch, ...] = ("full", "binary", "joint-torque")
 
 _SENSED = (
     "q", "in_contact", "contact_position", "contact_normal", "contact_force",
@@ -18,12 +25,19 @@ _SENSED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Sensing:
-    """White noise and latency of a hand's sensors. Set-points are known exactly.
+    """What a hand's sensors tell of touch, their noise and latency. Set-points are known exactly.
 
     Raises:
         InvalidInput: a number that is not finite, or below zero.
     """
 
+    touch: Touch = "full"
+    """What is known of touch: "full" is contact points, normals and forces; "binary" which
+    fingertips touch, the rest told from the joints; "joint-torque" the joints alone."""
+    joint_touch: Annotated[TouchConfig, NESTED] = field(default_factory=TouchConfig)
+    joint_offset: float = 0.0
+    """Standard deviation of what encoders read at zero, drawn for each joint and episode [rad].
+    Servos go by their encoders, so what they hold is off by as much."""
     joint_noise: float = 0.0
     """Standard deviation of joint positions [rad]."""
     position_noise: float = 0.0
@@ -40,7 +54,11 @@ class Sensing:
     """How old what is sensed is, rounded to control steps [s]."""
 
     def __post_init__(self) -> None:
-        check_numbers(self, not_negative=tuple(self.__dataclass_fields__))
+        check_name("touch", self.touch, TOUCHES)
+        check_kind(self, joint_touch=TouchConfig)
+        kinds = ("touch", "joint_touch")
+        names = tuple(one.name for one in fields(self) if one.name not in kinds)
+        check_numbers(self, not_negative=names)
 
     @property
     def noisy(self) -> bool:
@@ -62,13 +80,23 @@ class Sensor:
         sensing: how they sense.
         streams: of the noise, ``(N,)``; each environment draws its own.
         control_period: [s].
+        joint_touch: what makes touch of joints, where ``sensing`` has less than full touch.
 
     Attributes:
         streams: as given.
+        offset: what each encoder reads at zero, ``(N, d)`` or 0 [rad].
     """
 
-    def __init__(self, sensing: Sensing, streams: Streams, control_period: float) -> None:
+    def __init__(
+        self,
+        sensing: Sensing,
+        streams: Streams,
+        control_period: float,
+        joint_touch: JointTouch | None = None,
+    ) -> None:
         self._sensing, self.streams = sensing, streams
+        self._joint_touch = joint_touch
+        self.offset: Floats | float = 0.0
         self._steps = round(sensing.sensor_latency / control_period)
         self._past: list[dict[str, np.ndarray]] = []  # steps + 1 readings, the oldest first
 
@@ -80,7 +108,15 @@ class Sensor:
             begin: None where a control step has passed in every environment; else those ``(N,)``
                 whose episode begins with ``state``. The rows of the others are to be thrown away.
         """
-        seen = blurred(state, self._sensing, self.streams, begin)
+        sensing = self._sensing
+        if begin is not None:
+            self._begin(begin, state.q.shape)
+        if sensing.joint_offset:
+            state = replace(state, q=state.q + self.offset, q_target=state.q_target + self.offset)
+        seen = blurred(state, sensing, self.streams, begin)
+        if self._joint_touch is not None:
+            switches = seen.in_contact if sensing.touch == "binary" else None
+            seen = self._joint_touch(seen, switches, mask=begin)
         if not self._steps:
             return seen
         now = {name: getattr(seen, name) for name in _SENSED if getattr(seen, name) is not None}
@@ -97,14 +133,31 @@ class Sensor:
         age = then["age"] + now["time"] - then["time"]
         return replace(seen, **{**then, "time": now["time"], "age": age})
 
+    def _begin(self, begin: Bools, shape: tuple[int, ...]) -> None:
+        """Episodes begin: other encoders, and nothing felt yet."""
+        if self._joint_touch is not None:
+            self._joint_touch.reset(begin)
+        if self._sensing.joint_offset:
+            drawn = self._sensing.joint_offset * self.streams.normal(shape[1:], begin)
+            self.offset = np.where(begin[:, None], drawn, self.offset)
+
     def save(self) -> dict[str, object]:
         """All that decides what is to come, to be given to `restore`."""
-        return {"streams": self.streams.save()._asdict(), "past": [dict(one) for one in self._past]}
+        felt = None if self._joint_touch is None else self._joint_touch.state_dict()
+        return {
+            "streams": self.streams.save()._asdict(),
+            "past": [dict(one) for one in self._past],
+            "joint_touch": felt,
+            "offset": np.array(self.offset),
+        }
 
     def restore(self, saved: dict) -> None:
         """Go on from what `save` returned."""
         self.streams.restore(StreamsState(**saved["streams"]))
         self._past = [dict(one) for one in saved["past"]]
+        self.offset = np.array(saved["offset"])
+        if self._joint_touch is not None:
+            self._joint_touch.load_state_dict(saved["joint_touch"])
 
 
 def blurred(

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.hand import HandModel
+from dexctl.joint_touch import JointTouch
 from dexctl.sim.grasp_states import GraspStates, StateSampler
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.limited_hand import LimitedHand
@@ -80,7 +81,11 @@ class Simulation:
             config.push, Streams(seeds + _PUSH_SEED, (count,)), self.control_period
         )
         noise = Streams(seeds + _NOISE_SEED, (count,))
-        self._sensor = Sensor(config.sensing, noise, self.control_period)
+        felt = None
+        if config.sensing.touch != "full":
+            servos, how = (scenes[0].stiffness, scenes[0].damping), config.sensing.joint_touch
+            felt = JointTouch(self.hand, *servos, how, control_period=self.control_period)
+        self._sensor = Sensor(config.sensing, noise, self.control_period, felt)
         self._steps = np.zeros(count, np.int64)
         self._unseen: Bools | None = np.ones(count, bool)  # None: a control step has passed in all
         self._begin(np.ones(count, bool))
@@ -150,7 +155,8 @@ class Simulation:
 
     def write(self, q_target: ArrayLike) -> Floats:
         """Take set-points ``(N, d)`` [rad]; returns what the limits leave of them."""
-        return self._plant.write(q_target)
+        offset = self._sensor.offset  # what the encoders read is what the servos go by
+        return self._plant.write(np.asarray(q_target, float) - offset) + offset
 
     def step(self) -> None:
         """Let one control period pass."""

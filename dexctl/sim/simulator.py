@@ -287,7 +287,8 @@ class BatchSimulator:
         Args:
             parameters: by name, ``(N,)`` or one number for all: ``friction`` (sliding, of the
                 object), ``object_mass`` [kg] (inertia scales with it), ``kp`` [N m/rad], ``kv``
-                [N m s/rad] (of all servos), ``damping`` [N m s/rad] (of the hand's joints).
+                [N m s/rad] (of all servos), ``damping`` [N m s/rad] and ``gear_friction`` [N m] (of
+                the hand's joints).
 
         Raises:
             UnknownName: no such parameter.

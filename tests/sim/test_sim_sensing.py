@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from dexctl.exceptions import InvalidInput
-from dexctl.sim import Sensing
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.gait import CoordinatedGait
+from dexctl.sim import SceneConfig, Sensing, Simulation
 from dexctl.sim.sensing import Sensor
 from dexctl.state import GraspState
 from dexctl.streams import Streams
@@ -33,7 +36,7 @@ def states(count: int, time: float = 0.0, q: float = 0.0) -> GraspState:
     )
 
 
-def sensor(count: int, seed: int = 0, **settings: float) -> Sensor:
+def sensor(count: int, seed: int = 0, **settings: Any) -> Sensor:
     return Sensor(Sensing(**settings), Streams(seed, (count,)), PERIOD)
 
 
@@ -119,8 +122,64 @@ def test_saved_and_restored() -> None:
     np.testing.assert_array_equal([other(states(3, PERIOD * k)).q for k in (4, 5, 6)], first)
 
 
-@pytest.mark.parametrize("name", list(Sensing.__dataclass_fields__))
+NUMBERS = [name for name in Sensing.__dataclass_fields__ if name not in ("touch", "joint_touch")]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", [-0.1, np.nan, np.inf, "much"])
 def test_bad_settings(name: str, value: object) -> None:
     with pytest.raises(InvalidInput, match=f"{name} is {value!r}; expected"):
         Sensing(**{name: value})  # type: ignore[arg-type]
+
+
+def test_an_unknown_kind_of_touch() -> None:
+    with pytest.raises(UnknownName, match="unknown touch 'none'; known: full, binary, joint-torq"):
+        Sensing(touch="none")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("touch", ["binary", "joint-torque"])
+def test_touch_told_from_joints_is_near_the_truth_and_repeats(touch: Any) -> None:
+    config = SceneConfig(object=("cylinder",), sensing=Sensing(touch=touch, joint_offset=0.02))
+    with Simulation(config, 2, 0) as sim:
+        controller = CoordinatedGait(sim.hand)
+
+        def run(steps: int) -> list[np.ndarray]:
+            found = []
+            for _ in range(steps):
+                seen = sim.read()
+                sim.write(seen.q_target + controller.act(seen))
+                sim.step()
+                found.append(sim.read().contact_force)
+            return found
+
+        run(15)
+        seen, truth = sim.read(), sim.state
+        both = seen.in_contact & truth.in_contact
+        assert both.sum() >= 8
+        along = (seen.contact_normal * truth.contact_normal).sum(-1)[both]
+        assert np.median(along) > 0.9
+        error = (seen.contact_force - truth.contact_force)[both]
+        assert np.median(np.abs(error)) < 0.4
+        if touch == "binary":
+            assert seen.in_contact.tolist() == truth.in_contact.tolist()
+        # encoders read joints and set-points alike off, by what differs between the joints
+        offset = seen.q - truth.q
+        np.testing.assert_allclose(seen.q_target - truth.q_target, offset, atol=1e-12)
+        assert 0.01 < np.std(offset) < 0.04
+
+        saved, state = sim.save(), controller.state_dict()
+        first = run(10)
+        sim.restore(saved)
+        controller.load_state_dict(state)
+        np.testing.assert_array_equal(run(10), first)
+
+
+def test_gear_friction_holds_joints_back() -> None:
+    moved = []
+    for friction in (None, 0.1):
+        with Simulation(SceneConfig(gear_friction=friction), 1, 0) as sim:
+            start = sim.read()
+            sim.write(start.q_target + 0.03)  # 0.09 N m
+            sim.step()
+            moved.append(np.abs(sim.read().q - start.q).max())
+    assert moved[1] < 0.3 * moved[0]

@@ -1,0 +1,150 @@
+"""JointTouch: touch from joint torques over time, with what one moment cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput
+from dexctl.hand import HandModel
+from dexctl.saved import batch_shape, check_names, copies, fill
+from dexctl.state import Bools, Floats, GraspState
+from dexctl.touch import TouchConfig, estimate_touch, per_joint, servo_torques
+
+
+class JointTouch:
+    """What the fingertips of N hands feel, or of one, step by step.
+
+    `GraspState.from_joint_torques` for joints that move: the torque that the servos' damping takes
+    is not taken for a force, torques are smoothed, and a finger that touched counts as touching
+    until it presses with less than `TouchConfig.release_force`. Where switches say which
+    fingertips touch, only forces and normals are estimated.
+
+    Args:
+        hand: the hand.
+        stiffness: of the servos, ``(d,)`` or one number [N m/rad].
+        damping: of servos and joints, ``(d,)`` or one number [N m s/rad]. Joint speeds are
+            differences of joint positions.
+        config: thresholds and smoothing; None: the defaults.
+        control_period: from one call to the next [s].
+
+    Raises:
+        InvalidInput: a number out of range, or of another number of joints.
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        config: TouchConfig | None = None,
+        *,
+        control_period: float = 0.05,
+    ) -> None:
+        self.hand = hand
+        self.config = config or TouchConfig()
+        servo_torques(hand, np.zeros(hand.nq), np.zeros(hand.nq), stiffness)  # says what is wrong
+        self._stiffness = np.asarray(stiffness, float)
+        self._damping = per_joint(hand, "damping", damping)
+        if not (self._damping >= 0).all():
+            raise InvalidInput(f"damping is {damping}; expected N m s/rad from 0 on")
+        self._dt = control_period
+        smoothing = self.config.smoothing_time
+        self._new = 1.0 if smoothing == 0 else float(-np.expm1(-control_period / smoothing))
+        self._past: dict[str, np.ndarray] = {}
+
+    def reset(self, mask: Bools | None = None) -> None:
+        """Forget the past of all hands, or of those in ``mask`` ``(N,)``."""
+        if mask is None or not self._past:
+            self._past = {}
+        else:
+            self._past["fresh"] = self._past["fresh"] | mask
+
+    def __call__(
+        self,
+        state: GraspState,
+        switches: Bools | None = None,
+        torque: Floats | None = None,
+        mask: Bools | None = None,
+    ) -> GraspState:
+        """``state`` with the touch that its joints tell of; what it said of touch is not read.
+
+        Args:
+            state: joints, and the object where something tracks it.
+            switches: which fingertips touch, ``(..., m)``; None: the torques decide.
+            torque: what was measured in place of stiffness and damping, ``(..., d)`` [N m].
+            mask: in which hands ``(N,)`` a control period has passed; None is all. The past of
+                the others stays as it is.
+        """
+        if torque is None:
+            torque = servo_torques(self.hand, state.q, state.q_target, self._stiffness)
+            measured = False
+        else:
+            measured = True
+        past = self._past
+        if not past:
+            past = self._begin(state, torque)
+        fresh = past["fresh"][..., None]
+        if not measured:
+            moved = np.where(fresh, 0.0, state.q - past["q"])
+            torque = torque - self._damping * moved / self._dt
+        smooth = np.where(fresh, torque, past["torque"] + self._new * (torque - past["torque"]))
+        found = estimate_touch(
+            self.hand,
+            state.q,
+            smooth,
+            self.config,
+            in_contact=switches,
+            touched=past["touched"] & ~fresh,
+            object_position=state.object_position,
+        )
+        now = {
+            "q": np.array(state.q),
+            "torque": smooth,
+            "touched": found.in_contact,
+            "fresh": np.zeros(state.batch_shape, bool),
+        }
+        if mask is not None:
+            now = {
+                name: np.where(mask.reshape(-1, *(1,) * (value.ndim - 1)), value, past[name])
+                for name, value in now.items()
+            }
+        self._past = now
+        return replace(state, **found._asdict())
+
+    def _begin(self, state: GraspState, torque: Floats) -> dict[str, np.ndarray]:
+        return {
+            "q": np.array(state.q),
+            "torque": np.zeros_like(torque),
+            "touched": np.zeros((*state.batch_shape, self.hand.n_fingers), bool),
+            "fresh": np.ones(state.batch_shape, bool),
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """The past, as arrays, to be given to `load_state_dict`."""
+        return {"past": copies(self._past) if self._past else None}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue with a saved past.
+
+        Raises:
+            InvalidInput: it is none, or of another hand.
+        """
+        past = check_names("touch", saved, ("past",))["past"]
+        if past is None:
+            self._past = {}
+            return
+        batch = batch_shape("touch", past, "fresh")
+        made: dict[str, np.ndarray] = {
+            "q": np.zeros((*batch, self.hand.nq)),
+            "torque": np.zeros((*batch, self.hand.nq)),
+            "touched": np.zeros((*batch, self.hand.n_fingers), bool),
+            "fresh": np.zeros(batch, bool),
+        }
+        check_names("touch", past, made)
+        fill("touch", made, past)
+        self._past = made

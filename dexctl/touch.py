@@ -1,0 +1,181 @@
+"""Touch without touch sensors: from joint torques, or from switches that only say yes or no.
+
+A finger that presses with force F has torques J^T F at its joints beside those that hold its own
+links, with the Jacobian J of its contact point (thesis chapter 4, eq. dqstab, in forces). So a
+force follows from the torques of three joints and more; where it points to, there the contact is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dexctl.exceptions import InvalidInput
+from dexctl.validation import check_numbers
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+_DAMPING = 0.005  # keeps forces finite where a finger is stretched [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchConfig:
+    """How touch is told from joint torques or switches.
+
+    Raises:
+        InvalidInput: a number that is not finite or out of range.
+    """
+
+    touch_force: float = 0.4
+    """A fingertip touches from this estimated force on [N]; it must be above what gear friction
+    and the weight of the links feign."""
+    release_force: float = 0.2
+    """And until the force has fallen below this [N]."""
+    lean: float = 0.5
+    """How far the contact normal may lean with the estimated force, away from the direction to
+    the object's centre (the fingertips' centroid where nothing tracks the object), as a tangent.
+    0: it points to the centre."""
+    nominal_force: float = 1.0
+    """Of a switch that is closed, where no torque is known [N]."""
+    smoothing_time: float = 0.05
+    """Time constant of the low-pass on torques and joint speeds [s]; 0: none."""
+    fingertip_radius: float = 0.0
+    """Of the fingertip about its tip point [m]; 0: the tip point is on the surface."""
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive=("touch_force", "nominal_force"),
+            not_negative=("release_force", "lean", "smoothing_time", "fingertip_radius"),
+        )
+        if self.release_force > self.touch_force:
+            raise InvalidInput(
+                f"release_force is {self.release_force} N; expected at most touch_force, "
+                f"{self.touch_force} N"
+            )
+
+
+class TouchEstimate(NamedTuple):
+    """Contacts as `dexctl.GraspState` has them; rows of fingers that do not touch are zero.
+
+    Attributes:
+        in_contact: ``(..., m)`` bool.
+        contact_position: ``(..., m, 3)`` [m].
+        contact_normal: unit, from the fingertip into the object, ``(..., m, 3)``.
+        contact_force: along the normal, ``(..., m)`` [N].
+    """
+
+    in_contact: Bools
+    contact_position: Floats
+    contact_normal: Floats
+    contact_force: Floats
+
+
+class Hand(Protocol):
+    """What is needed of a `dexctl.HandModel`."""
+
+    nq: int
+    n_fingers: int
+    effort: Floats
+    moves: Bools
+    finger_joints: NDArray[np.intp]
+
+    def configuration(self, q: ArrayLike, /) -> Any:
+        """Forward kinematics."""
+        ...
+
+
+def servo_torques(hand: Hand, q: Floats, q_target: Floats, stiffness: ArrayLike) -> Floats:
+    """Torques ``(..., d)`` of position servos at rest, within the hand's limits [N m].
+
+    Raises:
+        InvalidInput: a stiffness that is not above 0, or of another number of joints.
+    """
+    stiff = per_joint(hand, "stiffness", stiffness)
+    if not (stiff > 0).all():
+        raise InvalidInput(f"stiffness is {stiffness}; expected N m/rad above 0")
+    return np.clip(stiff * (q_target - q), -hand.effort, hand.effort)
+
+
+def estimate_touch(
+    hand: Hand,
+    q: Floats,
+    torque: Floats | None,
+    config: TouchConfig,
+    *,
+    in_contact: Bools | None = None,
+    touched: Bools | None = None,
+    object_position: Floats | None = None,
+) -> TouchEstimate:
+    """What the fingertips feel, from joint torques, from switches, or from both.
+
+    Args:
+        hand: the hand. Joints that move several fingers tell nothing of any one and are left out.
+        q: ``(..., d)`` [rad].
+        torque: what presses on the object, ``(..., d)`` [N m]; None: not known.
+        config: the thresholds.
+        in_contact: what switches say, ``(..., m)``; None: the force decides.
+        touched: which fingers touched before, for the lower of the two thresholds ``(..., m)``.
+        object_position: ``(..., 3)`` [m], where something tracks the object.
+    """
+    now = hand.configuration(q)
+    tip = now.fingertip_position
+    centre = tip.mean(axis=-2) if object_position is None else object_position
+    inward = _unit(centre[..., None, :] - tip)
+    if torque is None:
+        touch = np.zeros(tip.shape[:-1], bool) if in_contact is None else in_contact
+        normal, force = inward, np.full(tip.shape[:-1], config.nominal_force)
+    else:
+        pressing = fingertip_forces(hand, now, tip, torque)
+        along = (pressing * inward).sum(axis=-1)
+        aside = pressing - along[..., None] * inward
+        size = np.sqrt((aside * aside).sum(axis=-1))
+        tangent = np.minimum(size / np.maximum(along, 1e-9), config.lean) * (along > 0)
+        normal = _unit(inward + (tangent / np.maximum(size, 1e-9))[..., None] * aside)
+        force = np.maximum((pressing * normal).sum(axis=-1), 0.0)
+        before = False if touched is None else touched
+        least = np.where(before, config.release_force, config.touch_force)
+        touch = (force >= least) if in_contact is None else in_contact
+    rows = touch[..., None]
+    point = tip + config.fingertip_radius * normal
+    return TouchEstimate(
+        touch,
+        np.where(rows, point, 0.0),
+        np.where(rows, normal, 0.0),
+        np.where(touch, force, 0.0),
+    )
+
+
+def fingertip_forces(hand: Hand, now: Any, point: Floats, torque: Floats) -> Floats:
+    """Forces ``(..., m, 3)`` [N] that the fingers press with at ``point`` ``(..., m, 3)``.
+
+    The damped least-squares solution of J^T F = torque, finger by finger, by the joints that move
+    no other finger.
+    """
+    own = hand.moves & (hand.moves.sum(axis=0) == 1)
+    mine = np.take_along_axis(own, hand.finger_joints, axis=1)
+    # a filled-up place repeats joint 0; it has no row in the Jacobian
+    jacobian = now.finger_jacobian(point) * mine[..., None]
+    gram = jacobian.swapaxes(-1, -2) @ jacobian + _DAMPING**2 * np.eye(3)
+    right = jacobian.swapaxes(-1, -2) @ torque[..., hand.finger_joints][..., None]
+    return np.linalg.solve(gram, right)[..., 0]
+
+
+def per_joint(hand: Hand, name: str, value: ArrayLike) -> Floats:
+    """``value`` as an array, for all joints or for each of them ``(..., d)``.
+
+    Raises:
+        InvalidInput: it is not finite, or of another number of joints.
+    """
+    array = np.asarray(value, float)
+    if array.shape[-1:] not in ((), (hand.nq,)) or not np.isfinite(array).all():
+        raise InvalidInput(f"{name} is {value}; expected finite numbers, one or (..., {hand.nq})")
+    return array
+
+
+def _unit(vector: Floats) -> Floats:
+    length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
+    return vector / np.maximum(length, 1e-12)
