@@ -1,6 +1,7 @@
 """Finger gaiting: in-grasp manipulation and contact switching superposed, at random or by plan."""
 
 from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitChanges, CoordinatedGaitConfig
+from dexctl.gait.macro import Macro, MacroConfig
 from dexctl.gait.thesis import FingerGaiting, FingerGaitingChanges, FingerGaitingConfig
 
 __all__ = [
@@ -10,4 +11,6 @@ __all__ = [
     "FingerGaiting",
     "FingerGaitingChanges",
     "FingerGaitingConfig",
+    "Macro",
+    "MacroConfig",
 ]

@@ -141,6 +141,24 @@ class CoordinatedGait(Controller):
         else:
             self._fresh = self._fresh | check_mask(mask, self._fresh.shape)
 
+    def refer_to(self, state: GraspState) -> None:
+        """Take the grasp in ``state``, which is tracked, for that of the reset, in all hands.
+
+        Where the object was then, and the azimuths that the fingers are put back to, are otherwise
+        those that the first `act` after a reset finds.
+
+        Raises:
+            InvalidInput: nothing tracks the object, or another number of hands is at work.
+        """
+        check_state(self.hand, state)
+        if state.object_position is None or state.object_quaternion is None:
+            raise InvalidInput("the state has no pose of the object; expected a tracked object")
+        self.in_grasp.refer_to(state.object_position, state.object_quaternion)
+        rows = state if state.batch_shape else state[None]
+        if self._fresh is not None:
+            self._fresh = np.ones_like(self._fresh)
+        self._meet(rows, self.hand.configuration(rows.q).fingertip_position)
+
     def _arrays(self) -> dict[str, np.ndarray]:
         assert self._fresh is not None
         return {"fresh": self._fresh, "neutral": self._neutral, "wait": self._wait}

@@ -18,13 +18,15 @@ from dexctl.grasp.cones import DEFAULT_EDGES, DEFAULT_TORSION
 from dexctl.grasp.contacts import check_mask
 from dexctl.grasp.forces import GraspForces, grasp_forces
 from dexctl.state import Bools, Floats, GraspState
+from dexctl.validation import check_mask as check_chosen
 
 
 class HoldsSetPoints(Protocol):
     """What the dynamic check needs: any plant whose states say where the object is.
 
     A plant with ``save()`` and ``restore(saved)`` is left as it was. One with an attribute
-    ``diverged``, ``(...)`` bool, has the environments marked there counted as unstable.
+    ``diverged``, ``(...)`` bool, has the environments marked there counted as unstable. One that
+    takes ``step(mask)`` can be checked in part, or until each has failed.
     """
 
     control_period: float
@@ -155,7 +157,10 @@ def check_stable(
     max_distance: float = 0.05,
     max_rotation: float | None = None,
     min_contacts: int = 0,
+    fingertips_only: bool = False,
     restore: bool = True,
+    early: bool = False,
+    mask: ArrayLike | None = None,
 ) -> DynamicStability:
     """Hold the set-points and see whether the object stays (thesis chapter 5).
 
@@ -165,8 +170,14 @@ def check_stable(
         max_distance: how far the object may move from where it is now [m].
         max_rotation: how far it may turn [rad]; None: as far as it will.
         min_contacts: fewest fingers in contact at the end.
+        fingertips_only: the object must at no moment touch more of the hand than fingertips; the
+            plant says so by its ``other_contact``, ``(...)`` [N].
         restore: put the plant back as it was, where it has save() and restore(); False leaves
             it where the check ended.
+        early: step a hand no further once it has broken a bound; what is reported of it is up to
+            there. The plant must take ``step(mask)``.
+        mask: which hands of N are checked, ``(N,)`` bool; the others stay as they are and count
+            as unstable. The plant must take ``step(mask)``.
 
     Raises:
         InvalidInput: bounds out of range, or a plant that does not track the object.
@@ -186,7 +197,18 @@ def check_stable(
         raise InvalidInput("plant.read().object_quaternion is None; max_rotation needs it")
     saved = plant.save() if restore and hasattr(plant, "save") else None  # type: ignore[attr-defined]
     try:
-        return _hold(plant, start, seconds, period, max_distance, max_rotation, min_contacts)
+        return _hold(
+            plant,
+            start,
+            seconds,
+            period,
+            max_distance,
+            max_rotation,
+            min_contacts,
+            fingertips_only,
+            early,
+            None if mask is None else check_chosen(mask, start.batch_shape),
+        )
     finally:
         if saved is not None:
             plant.restore(saved)  # type: ignore[attr-defined]
@@ -200,14 +222,22 @@ def _hold(
     max_distance: float,
     max_rotation: float | None,
     min_contacts: int,
+    fingertips_only: bool,
+    early: bool,
+    mask: Bools | None,
 ) -> DynamicStability:
     batch = start.batch_shape
-    stable = np.ones(batch, bool)
+    stable = np.ones(batch, bool) if mask is None else mask.copy()
     displacement, rotation, held = np.zeros(batch), np.zeros(batch), np.zeros(batch)
     state = start
     for _ in range(int(np.ceil(seconds / period - 1e-9))):
         plant.write(start.q_target)
-        plant.step()
+        if early or mask is not None:
+            if not stable.any():
+                break
+            plant.step(stable if early else mask)  # type: ignore[call-arg]
+        else:
+            plant.step()
         state = plant.read()
         moved = _distance(start.object_position, state.object_position)
         turned = _angle(start.object_quaternion, state.object_quaternion)
@@ -216,6 +246,8 @@ def _hold(
         if max_rotation is not None:
             stable &= turned <= max_rotation
         stable &= ~np.asarray(getattr(plant, "diverged", False), bool)
+        if fingertips_only:
+            stable &= np.asarray(plant.other_contact) == 0  # type: ignore[attr-defined]
         displacement = np.fmax(displacement, moved)
         rotation = np.fmax(rotation, turned)
         held = held + period * stable

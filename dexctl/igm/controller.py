@@ -112,6 +112,27 @@ class InGraspManipulation(Controller):
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self._reference.reset(mask)
 
+    def refer_to(self, position: ArrayLike, quaternion: ArrayLike) -> None:
+        """Pull the object back to a given pose instead of to where the next `act` finds it.
+
+        A planner holds every grasp of a tree to the pose at its root: references that moved on
+        with each grasp would let height and tilt drift.
+
+        Args:
+            position: of the object, ``(N, 3)`` or, for one hand, ``(3,)`` [m].
+            quaternion: wxyz, ``(N, 4)`` or ``(4,)``; what counts is where it carries the axis.
+
+        Raises:
+            InvalidInput: another number of hands than it is at work with.
+        """
+        place, pose = np.asarray(position, float), np.asarray(quaternion, float)
+        if place.shape[-1:] != (3,) or pose.shape != (*place.shape[:-1], 4) or place.ndim > 2:
+            raise InvalidInput(
+                f"position and quaternion have shapes {place.shape} and {pose.shape}; expected "
+                "(N, 3) and (N, 4), or (3,) and (4,)"
+            )
+        self._reference.give(place.reshape(-1, 3), pose.reshape(-1, 4))
+
     def state_dict(self) -> dict[str, Any]:
         return self._signed(reference=self._reference.state_dict())
 

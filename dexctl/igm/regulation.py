@@ -80,6 +80,12 @@ class Reference:
         fill("a reference", self._arrays(), saved)
         self.complete = bool(self.known.all())
 
+    def give(self, origin: Floats, quaternion: Floats) -> None:
+        """Set the reference of all N environments, ``(N, 3)`` and ``(N, 4)``."""
+        self.meet(len(origin))
+        self.known[:] = False
+        self.learn(origin, quaternion)
+
     def learn(self, origin: Floats, quaternion: Floats) -> None:
         """Take the reference of the environments that have none; quaternions may be missing."""
         new = ~self.known

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dexctl.sim.sensing import Sensing
     from dexctl.sim.simulation import Simulation
     from dexctl.sim.simulator import BatchSimulator, SimulatorState
+    from dexctl.sim.state_rows import StateRows
     from dexctl.sim.trial import Trace, rotation_about, run
     from dexctl.sim.viewer import Viewer
 
@@ -40,6 +41,7 @@ __all__ = [
     "Sensing",
     "Simulation",
     "SimulatorState",
+    "StateRows",
     "Trace",
     "Viewer",
     "object_names",
@@ -60,10 +62,18 @@ _HOMES = {
     "sensing": ("Sensing",),
     "simulation": ("Simulation",),
     "simulator": ("BatchSimulator", "SimulatorState"),
+    "state_rows": ("StateRows",),
     "trial": ("Trace", "rotation_about", "run"),
     "viewer": ("Viewer",),
 }
-_WITHOUT_MUJOCO = ("grasp_states", "limited_hand", "pushes", "scene_config", "sensing")
+_WITHOUT_MUJOCO = (
+    "grasp_states",
+    "limited_hand",
+    "pushes",
+    "scene_config",
+    "sensing",
+    "state_rows",
+)
 
 
 def __getattr__(name: str) -> object:

@@ -141,10 +141,11 @@ class GroupedSimulator:
         for group, rows in zip(self.groups, self.slices, strict=True):
             group.push(rows_of[rows])
 
-    def step(self) -> None:
+    def step(self, mask: ArrayLike | None = None) -> None:
         """See `BatchSimulator.step`."""
-        for group in self.groups:
-            group.step()
+        chosen = None if mask is None else self._mask(mask)
+        for group, rows in zip(self.groups, self.slices, strict=True):
+            group.step(None if chosen is None else chosen[rows])
 
     def set_parameters(self, **parameters: ArrayLike) -> None:
         """See `BatchSimulator.set_parameters`."""

@@ -15,6 +15,7 @@ from dexctl.sim import checks
 from dexctl.sim.parameters import ParameterSet
 from dexctl.sim.physics_state import INPUT, PhysicsLayout, SimulatorState
 from dexctl.sim.scene import Scene
+from dexctl.sim.state_rows import StateRows
 from dexctl.sim.tactile import TouchReading, TouchSensors
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams, StreamsState
@@ -160,8 +161,11 @@ class BatchSimulator:
         object_position: ArrayLike,
         object_quaternion: ArrayLike,
         mask: ArrayLike | None = None,
+        *,
+        joint_velocity: ArrayLike | None = None,
+        object_velocity: ArrayLike | None = None,
     ) -> None:
-        """Put environments into given grasps, at rest: a planned one, a state to be checked.
+        """Put environments into given grasps: a planned one, a state to be checked.
 
         Args:
             q: joint positions ``(..., d)`` [rad].
@@ -169,15 +173,51 @@ class BatchSimulator:
             object_position: ``(..., 3)`` [m].
             object_quaternion: wxyz, unit, ``(..., 4)``.
             mask: which environments; the arrays have one row for every environment all the same.
+            joint_velocity: ``(..., d)`` [rad/s]; None: at rest.
+            object_velocity: as MuJoCo has it, ``(..., 6)``: linear in the world's frame [m/s],
+                angular in the object's [rad/s]; None: at rest.
         """
         chosen, count, d = self._mask(mask), self._count, self.hand.nq
         qpos = np.tile(self.scene.settled.qpos, (count, 1))
         qpos[:, self.scene.qpos_columns] = self._rows("q", q, d)
         qpos[:, self.scene.object_qpos] = self._poses(object_position, object_quaternion)
-        physics = self._layout.state(qpos)
+        qvel = np.zeros((count, self.scene.model.nv))
+        if joint_velocity is not None:
+            qvel[:, self.scene.qvel_columns] = self._rows("joint_velocity", joint_velocity, d)
+        if object_velocity is not None:
+            qvel[:, self.scene.object_qvel] = self._rows("object_velocity", object_velocity, 6)
         target = self._rows("q_target", q_target, d)
-        sensordata = self._probe(physics, self._clip(target))
-        self._place(chosen, physics[chosen], target[chosen], sensordata[chosen])
+        self._place_fresh(chosen, self._layout.state(qpos, qvel)[chosen], target[chosen])
+
+    def rows(self, index: ArrayLike | None = None) -> StateRows:
+        """The states of the environments ``index`` (indices, or a mask; None: all), to be kept.
+
+        `place` puts them back, here or into a simulator of the same scene with another number of
+        environments. `save` and `restore` are for all of one simulator, random streams included.
+        """
+        found = StateRows(physics=self._physics, q_target=self._q_target)
+        return found.take(np.arange(self._count) if index is None else np.asarray(index))
+
+    def place(self, rows: StateRows, mask: ArrayLike | None = None) -> None:
+        """Go on from states that were kept, at time 0, with what the fingertips feel there.
+
+        Args:
+            rows: of this scene, one for each environment chosen, in their order.
+            mask: which environments, ``(N,)`` bool; None is all.
+
+        Raises:
+            SimulationError: they are of another scene, or too many or too few.
+        """
+        chosen = self._mask(mask)
+        expected = (int(chosen.sum()), self._layout.size), self.hand.nq
+        if (rows.physics.shape, rows.q_target.shape[1]) != expected:
+            raise SimulationError(
+                f"the rows have {rows.physics.shape} numbers of physics and "
+                f"{rows.q_target.shape[1]} set-points; expected {expected[0]} and {expected[1]}"
+            )
+        physics = rows.physics.copy()
+        physics[:, 0] = 0.0
+        self._place_fresh(chosen, physics, rows.q_target)
 
     def place_object(
         self, position: ArrayLike, quaternion: ArrayLike, mask: ArrayLike | None = None
@@ -196,14 +236,21 @@ class BatchSimulator:
         unit = checks.unit("object_quaternion", self._rows("object_quaternion", quaternion, 4))
         return np.hstack([self._rows("object_position", position, 3), unit])
 
-    def _probe(self, physics: Floats, q_target: Floats) -> Floats:
-        """Contact readings ``(N, columns)`` in the states given: one physics step, thrown away."""
-        ctrl = self._ctrl.copy()
-        ctrl[:, self.scene.actuators] = q_target * self.scene.ctrl_per_radian
+    def _place_fresh(self, chosen: Bools, physics: Floats, q_target: Floats) -> None:
+        """Put the environments chosen into states, and feel the contacts there.
+
+        One physics step, thrown away, tells what the fingertips feel.
+        """
+        where = np.flatnonzero(chosen)
+        if not len(where):
+            return
+        ctrl = self._ctrl[where]
+        ctrl[:, self.scene.actuators] = self._clip(q_target) * self.scene.ctrl_per_radian
+        models = [self._parameters.models[i] for i in where]
         _, sensordata = self._pool().rollout(
-            self._parameters.models, self._data, physics, ctrl[:, None], control_spec=INPUT
+            models, self._data, physics, ctrl[:, None], control_spec=INPUT
         )
-        return sensordata[:, 0, self._sensors.columns]
+        self._place(chosen, physics, q_target, sensordata[:, 0, self._sensors.columns])
 
     def _place(self, chosen: Bools, physics: Floats, q_target: Floats, touch: Floats) -> None:
         self._physics[chosen] = physics
@@ -247,39 +294,51 @@ class BatchSimulator:
         """Pull at the object's centre with ``force`` ``(..., 3)`` [N] until the next or a reset."""
         self._ctrl[:, self._layout.push] = self._rows("force", force, 3)
 
-    def step(self) -> None:
-        """Let one control period pass in every environment."""
-        self._ctrl_steps[:] = self._ctrl[:, None]
-        start = self._physics
-        if self._diverged.any():  # step something harmless in their place
-            start = np.where(self._diverged[:, None], self._settled_physics, start)
-            self._ctrl_steps[self._diverged] = self._settled_ctrl
+    def step(self, mask: ArrayLike | None = None) -> None:
+        """Let one control period pass in every environment, or in those of ``mask`` ``(N,)``."""
+        chosen = self._mask(mask)
+        some = mask is not None and not chosen.all()
+        where = np.flatnonzero(chosen) if some else slice(None)
+        count = int(chosen.sum())
+        if not count:
+            return
+        models = self._parameters.models
+        # a contiguous part of what is allocated for all of them
+        ctrl, after_steps = self._ctrl_steps[:count], self._next[:count]
+        sensordata = self._sensordata[:count]
+        ctrl[:] = self._ctrl[where, None]
+        before, start = self._physics[where], self._physics[where]
+        lost = self._diverged[where]
+        if lost.any():  # step something harmless in their place
+            start = np.where(lost[:, None], self._settled_physics, start)
+            ctrl[lost] = self._settled_ctrl
         self._pool().rollout(
-            self._parameters.models,
+            [models[i] for i in where] if isinstance(where, np.ndarray) else models,
             self._data,
             control_spec=INPUT,
             skip_checks=True,
             nstep=self.substeps,
             initial_state=start,
-            control=self._ctrl_steps,
-            state=self._next,
-            sensordata=self._sensordata,
+            control=ctrl,
+            state=after_steps,
+            sensordata=sensordata,
         )
-        after = self._next[:, -1]
-        expected = self._physics[:, 0] + self.control_period
+        after = after_steps[:, -1]
+        expected = before[:, 0] + self.control_period
         gravity = float(np.linalg.norm(self.scene.gravity))
-        bad = self._layout.broken(after, expected, self._timestep, gravity) | self._diverged
+        bad = self._layout.broken(after, expected, self._timestep, gravity) | lost
         if bad.any():
-            after[bad] = self._physics[bad]
-            self._sensordata[bad] = 0.0
-            self._diverged |= bad
-        before = self._physics[:, self._layout.quaternion]
-        turn = multiply(after[:, self._layout.quaternion], inverse(before))
-        self._angular_velocity = rotation_vector(turn) / self.control_period
-        self._physics[:] = after
-        self._steps += ~bad
-        data = self._sensordata[:, -1, self._sensors.columns]
-        self._touch = self._sensors.read(data, self.touch_threshold)
+            after[bad] = before[bad]
+            sensordata[bad] = 0.0
+        turn = multiply(
+            after[:, self._layout.quaternion], inverse(before[:, self._layout.quaternion])
+        )
+        touch = self._sensors.read(sensordata[:, -1, self._sensors.columns], self.touch_threshold)
+        self._angular_velocity[where] = rotation_vector(turn) / self.control_period
+        self._physics[where] = after
+        self._diverged[where] |= bad
+        self._steps[where] += ~bad
+        self._touch = self._touch.placed(chosen, touch) if some else touch
 
     def set_parameters(self, **parameters: ArrayLike) -> None:
         """Give every environment its own physical parameters; they hold from the next step on.
