@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from hardware.exceptions import ServoError
+from hardware.guarding import Guard
 from hardware.line import Line
 from hardware.port import SerialPort
 from hardware.protocol import (
@@ -42,7 +43,7 @@ from hardware.readings import (
     checked_ids,
     cut_readings,
 )
-from hardware.registers import ALERT, Register, describe_status_error
+from hardware.registers import ALERT, TORQUE_ENABLE, Register, describe_status_error
 
 REBOOT_TIMEOUT = 3.0  # s until a rebooted servo must answer
 FAST_TRIALS = 3  # fast reads that may fail before the servos count as not knowing them
@@ -194,14 +195,21 @@ class Bus:
         """
         chosen = self.ids if ids is None else checked_ids(ids)
         raw = self._raw_values(register, value, len(chosen))
-        fields = raw.astype(f"<i{register.size}")[:, None].view(np.uint8)
-        rows = np.concatenate([np.array(chosen, np.uint8)[:, None], fields], axis=1)
-        head = struct.pack("<HH", register.address, register.size)
-        packet = build(BROADCAST, Instruction.SYNC_WRITE, head + rows.tobytes())
+        packet = _sync_write(register, raw, chosen)
         with self._lock:
             self._line.settle()
             self._line.send(packet)
         return register.to_si(raw)
+
+    def guard(self, ids: Sequence[int] | None = None) -> Guard:
+        """Start a process that takes the torque of servos (default: all) off if this one dies.
+
+        Raises:
+            BusError: it cannot be started, or the port is closed.
+        """
+        chosen = self.ids if ids is None else checked_ids(ids)
+        packet = _sync_write(TORQUE_ENABLE, np.zeros(len(chosen), np.int64), chosen)
+        return Guard(self._line.descriptor, packet)
 
     def write_checked(self, register: Register, value: float, servo: int) -> float:
         """Write one SI value to one servo, which confirms it; returns what was sent.
@@ -337,6 +345,14 @@ class Bus:
                 f"{register.name} has values of shape {raw.shape}; expected one, or ({count},)"
             )
         return np.broadcast_to(raw.reshape(-1), (count,))
+
+
+def _sync_write(register: Register, raw: np.ndarray, ids: tuple[int, ...]) -> bytes:
+    """The packet that writes raw values ``(n,)`` to n servos."""
+    fields = raw.astype(f"<i{register.size}")[:, None].view(np.uint8)
+    rows = np.concatenate([np.array(ids, np.uint8)[:, None], fields], axis=1)
+    head = struct.pack("<HH", register.address, register.size)
+    return build(BROADCAST, Instruction.SYNC_WRITE, head + rows.tobytes())
 
 
 def _raise_refusal(error: int, servo: int, what: str) -> None:

@@ -5,6 +5,18 @@ from __future__ import annotations
 from dexctl.exceptions import DexctlError
 
 
+def tell_torque(error: BaseException, message: str) -> None:
+    """Let an error say what is known of the torque, so that whoever meets it is told.
+
+    Our own errors say it in their message, all others in a note (PEP 678), which tracebacks and
+    the command line show.
+    """
+    if isinstance(error, DexctlError):
+        error.args = (f"{error}; {message}", *error.args[1:])
+    else:
+        error.add_note(message)
+
+
 class BusError(DexctlError, RuntimeError):
     """The servo bus cannot do what was asked."""
 

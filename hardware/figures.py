@@ -26,6 +26,18 @@ _WORDS = {
 """Of each figure: what people read, unit, and how many of the unit are 1 of the figure's own."""
 
 
+_OUTCOMES = {
+    "idle": "ended as wanted (idle)",
+    "hold": "was held",
+    "fault": "ended in a fault",
+}
+
+
+def in_full(outcome: str) -> str:
+    """How a run ended, for people."""
+    return _OUTCOMES.get(outcome, outcome)
+
+
 def figures_of_merit(log: Log) -> dict[str, float]:
     """Numbers of a log, with units in their names; {} of a log without ticks."""
     ticks = log.ticks

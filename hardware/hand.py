@@ -19,7 +19,8 @@ from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus
 from hardware.calibration import Calibration
-from hardware.exceptions import BusError, PortLost, ServoError
+from hardware.exceptions import BusError, PortLost, ServoError, tell_torque
+from hardware.guarding import Guard
 from hardware.limits import Limits
 from hardware.registers import OperatingMode, Register
 from hardware.samples import Health, JointSample, TorqueReport
@@ -46,6 +47,7 @@ class ServoHand:
 
     Attributes:
         torque: what is known of it.
+        torque_report: what the last `disarm` found.
         q_target: the set-points sent last, ``(d,)`` [rad], before rounding to the servo's ticks
             of 1.5 mrad (a slow motion would be lost if the rounded value were built on); NaN
             until armed.
@@ -74,6 +76,7 @@ class ServoHand:
         self._ticker = Ticker(control_period)
         self.control_period = control_period
         self.torque = Torque.UNKNOWN
+        self.torque_report = TorqueReport(Torque.UNKNOWN, "torque state UNKNOWN: never asked")
         self.q_target = np.full(hand.nq, np.nan)
         self._ids = [int(servo) for servo in self.calibration.servo]
         self._turns: Floats | None = None
@@ -87,6 +90,7 @@ class ServoHand:
             np.zeros(hand.nq, bool),
         )
         self._health_turn = 0
+        self._guard: Guard | None = None
         self._last_limited: LimitedGoal | None = None
 
     # arming
@@ -96,18 +100,21 @@ class ServoHand:
 
         In this order: torque off, mode and limits written and read back, turns resolved, set-points
         to the present position, speed and current limits, bus watchdog, torque on. From then on
-        the bus must not be silent for longer than ``limits.watchdog``.
+        the bus must not be silent for longer than ``limits.watchdog``, and a guard takes the torque
+        off if this process dies (`hardware.guard`).
 
         Raises:
             ServoError: a servo does not answer, has a hardware error, or does not keep a setting.
             InvalidInput: a joint stands out of its range.
+            Each says what is known of the torque then (see `hardware.exceptions.tell_torque`).
         """
         try:
             self._prepare()
+            self._guard = self.bus.guard(self._ids)
             self._set(registers.BUS_WATCHDOG, self.limits.watchdog)
             self._set(registers.TORQUE_ENABLE, 1.0)
-        except BaseException:
-            self.disarm()
+        except BaseException as error:
+            tell_torque(error, self.disarm().message)
             raise
         self.torque = Torque.ON
         self._ticker.restart()
@@ -337,6 +344,15 @@ class ServoHand:
 
     def disarm(self, attempts: int = 10) -> TorqueReport:
         """Torque off, confirmed servo by servo. Never raises; says what is known."""
+        try:
+            self.torque_report = self._let_go(attempts)
+        finally:
+            if self._guard is not None:
+                self._guard.close()
+                self._guard = None
+        return self.torque_report
+
+    def _let_go(self, attempts: int) -> TorqueReport:
         off = np.zeros(len(self._ids), bool)
         reason = ""
         for _ in range(attempts):
@@ -358,9 +374,8 @@ class ServoHand:
             return TorqueReport(Torque.OFF, f"torque off, confirmed by all {len(off)} servos")
         self.torque = Torque.UNKNOWN
         unknown = [servo for servo, sure in zip(self._ids, off, strict=True) if not sure]
-        which = (
-            "all servos" if len(unknown) == len(off) else f"servo {', '.join(map(str, unknown))}"
-        )
+        ids = ", ".join(map(str, unknown))
+        which = f"all servos ({ids})" if len(unknown) == len(off) > 1 else f"servo {ids}"
         return TorqueReport(Torque.UNKNOWN, f"torque state of {which} UNKNOWN: cut power{reason}")
 
     def __enter__(self) -> ServoHand:

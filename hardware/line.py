@@ -38,6 +38,11 @@ class Line:
         return self._port.path
 
     @property
+    def descriptor(self) -> int:
+        """See `SerialPort.descriptor`."""
+        return self._port.descriptor
+
+    @property
     def latency_timer(self) -> float | None:
         """See `SerialPort.latency_timer`."""
         return self._port.latency_timer

@@ -37,7 +37,8 @@ class LogWriter:
         path: the MCAP file; replaced if it is there.
 
     Attributes:
-        dropped: messages that found the queue full, or the process gone.
+        dropped: messages that found the queue full, or the process gone, or that JSON cannot hold.
+        refused: why JSON could not hold the last one of those, "" if there was none.
         error: what the process said when it failed, "" if it did not.
 
     Raises:
@@ -50,25 +51,31 @@ class LogWriter:
             raise MissingExtra("logging", "hardware")
         self.path = Path(path).expanduser()
         try:
-            self.path.open("wb").close()
+            file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
         except OSError as error:
             raise InvalidInput(f"cannot write {self.path}: {error.strerror}") from None
         self.dropped = 0
+        self.refused = ""
         self.error = ""
+        self._said: list[str] = []
         self._pending = b""
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
         # a session of its own: Ctrl-C in the terminal is for the run, the log ends after it
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hardware.log_process", str(self.path)],
             stdin=subprocess.PIPE,
+            stdout=file,
             stderr=subprocess.PIPE,
             start_new_session=True,
             env=environment,
             bufsize=0,
         )
+        os.close(file)
         assert self._process.stdin is not None
+        assert self._process.stderr is not None
         self._pipe = self._process.stdin.fileno()
         os.set_blocking(self._pipe, False)
+        os.set_blocking(self._process.stderr.fileno(), False)
         if hasattr(fcntl, "F_SETPIPE_SZ"):
             with contextlib.suppress(OSError):  # a smaller queue is a queue too
                 fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
@@ -81,10 +88,15 @@ class LogWriter:
             message: values that JSON knows, or arrays; what is not finite becomes null.
             nanoseconds: when it was; default now.
         """
+        try:
+            data = encode(message)
+        except Exception as problem:  # noqa: BLE001 (whatever it is, the run goes on without)
+            self.refused = " ".join(f"{topic}: {type(problem).__name__}: {problem}".split())
+            self.dropped += 1
+            return False
         if not self._push():
             self.dropped += 1
             return False
-        data = encode(message)
         now = time.time_ns() if nanoseconds is None else nanoseconds
         self._pending = FRAME.pack(_INDEX[topic], now, len(data)) + data
         self._push()
@@ -98,6 +110,18 @@ class LogWriter:
             except (BlockingIOError, BrokenPipeError):
                 return False
         return True
+
+    def trouble(self) -> str:
+        """What the process has complained of since the last call, "" for nothing. Never waits."""
+        assert self._process.stderr is not None
+        if self._process.stderr.closed:
+            return ""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self._process.stderr.fileno(), 4096)
+            self._said += data.decode(errors="replace").strip().splitlines()
+            if data:
+                return self._said[-1]
+        return ""
 
     def close(self, timeout: float = 10.0) -> None:
         """Let the process finish the file; waits for at most ``timeout`` [s]. Idempotent."""
@@ -114,10 +138,11 @@ class LogWriter:
             self._process.kill()
             self._process.wait()
         assert self._process.stderr is not None
-        with self._process.stderr as said:
-            lines = said.read().decode(errors="replace").strip().splitlines()
+        while self.trouble():
+            pass
+        self._process.stderr.close()
         if self._process.returncode:
-            self.error = lines[-1] if lines else f"exit code {self._process.returncode}"
+            self.error = self._said[-1] if self._said else f"exit code {self._process.returncode}"
 
     def __enter__(self) -> LogWriter:
         return self

@@ -86,6 +86,15 @@ class SerialPort:
         return BusError(f"{self.path}: cannot be opened as a serial port ({error})")
 
     @property
+    def descriptor(self) -> int:
+        """The open file, for a process that is to hold the port too.
+
+        Raises:
+            BusError: the port is closed.
+        """
+        return self._descriptor()
+
+    @property
     def latency_timer(self) -> float | None:
         """Latency timer of an FTDI adapter [s], None for other ports.
 

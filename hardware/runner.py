@@ -17,13 +17,13 @@ import numpy as np
 from dexctl import Controller
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
-from hardware.exceptions import BusError, PortLost
+from hardware.exceptions import BusError, PortLost, tell_torque
 from hardware.hand import ServoHand
 from hardware.log import LogWriter
 from hardware.monitor import Monitor
 from hardware.run_report import RunEvent, RunReport
 from hardware.samples import JointSample, TorqueReport
-from hardware.state_machine import COUNTED, Action, Event, State, Torque, transition
+from hardware.state_machine import COUNTED, Action, Event, State, transition
 from hardware.ticker import Interrupts, Ticker, spread, undisturbed
 from hardware.worker import Command, ControllerThread, warm_up
 
@@ -43,6 +43,10 @@ class Runner:
         seed: the controller is reset with it.
         on_tick: told (time [s], q, q_target sent) of every tick in which the controller runs.
         on_event: told of every event that is new, for people.
+
+    Attributes:
+        state: where the run is.
+        report: of the last run, one that an exception ended included.
 
     Raises:
         InvalidInput: controller and hand do not belong together.
@@ -72,6 +76,7 @@ class Runner:
         self._on_event, self._on_tick, self._extra = on_event, on_tick, extra
         self._interrupts = Interrupts()
         self.state = State.IDLE
+        self.report = RunReport()
 
     def interrupt(self) -> None:
         """As Ctrl-C: hold for 0.2 s, then torque off; the second time, torque off at once."""
@@ -88,8 +93,10 @@ class Runner:
 
         Raises:
             InvalidInput: a bad argument, or a joint out of its range; the torque is off.
-            BusError: the hand could not be armed; the torque is off or, where the message says so,
-                unknown.
+            BusError: the hand could not be armed.
+            Whatever `extra`, `on_tick` or `on_event` raise.
+            Each says what is known of the torque then: off, or unknown of which servos
+            (`hardware.exceptions.tell_torque`); `report` has it, too.
         """
         if not (np.isfinite(seconds) and seconds > 0):
             raise InvalidInput(f"seconds is {seconds}; expected a finite number above 0")
@@ -102,6 +109,7 @@ class Runner:
         warm_up(self._controller, middle if approach is None else approach, self._seed)
         worker = ControllerThread(self._controller)  # before real time: it must not inherit it
         run = _Run(self, worker, seconds, approach)
+        self.report = run.report
         try:
             with self._interrupts, undisturbed() as real_time:
                 run.report.real_time = real_time
@@ -135,18 +143,24 @@ class _Run:
     # the run
 
     def go(self) -> RunReport:
-        torque = TorqueReport(Torque.UNKNOWN, "torque state UNKNOWN: cut power")
         try:
             self.hand.arm()
+        except BaseException:  # which says what is known of the torque
+            self.finish(self.hand.torque_report)
+            raise
+        try:
             self.ticker.restart()
             self.monitor.restart()
             self.start = time.monotonic()
             self.happen(Event.ARM, "set-points where the joints stand")
             while not self.done:
                 self.tick()
-        finally:
+        except BaseException as error:
             torque = self.hand.disarm()
+            tell_torque(error, torque.message)
             self.finish(torque)
+            raise
+        self.finish(self.hand.disarm())
         return self.report
 
     def finish(self, torque: TorqueReport) -> None:
@@ -303,7 +317,7 @@ class _Run:
         if self.log is None:
             return
         touch, command = self.hand.touch, self.command
-        self.log.write(
+        kept = self.log.write(
             "/tick",
             {
                 "time": sample.time - self.start,
@@ -324,7 +338,11 @@ class _Run:
                 **(self.runner._extra() if self.runner._extra is not None else {}),
             },
         )
+        if not kept:
+            self.happen(Event.LOG_LOST, self.log.refused or "the queue is full")
         if self.report.ticks % 25 == 0:
+            if trouble := self.log.trouble():
+                self.happen(Event.LOG_LOST, trouble)
             health = self.hand.known_health
             self.log.write(
                 "/health",

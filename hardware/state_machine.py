@@ -58,6 +58,7 @@ class Event(Enum):
     OVERRUNS_WARNING = "overruns above 5 %"
     OVERRUNS = "overruns above 20 %"
     TACTILE_STALE = "tactile readings stale"
+    LOG_LOST = "log message lost"
     TACTILE_NEEDED = "tactile readings stale, and the controller needs them"
     UNPLUGGED = "bus lost"
 
@@ -162,6 +163,7 @@ COUNTED = frozenset(
         Event.HEALTH_WARNING,
         Event.OVERRUNS_WARNING,
         Event.TACTILE_STALE,
+        Event.LOG_LOST,
     }
 )
 """Events that change nothing: they are counted, and told the first time."""

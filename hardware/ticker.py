@@ -115,7 +115,10 @@ def _real_time(priority: int = _PRIORITY) -> tuple[int, os.sched_param] | None:
 
 
 class Interrupts:
-    """Counts Ctrl-C, SIGTERM and SIGHUP instead of dying of them.
+    """Counts Ctrl-C, SIGTERM, SIGHUP, SIGQUIT and SIGABRT instead of dying of them.
+
+    A SIGABRT from outside, such as a service manager's watchdog sends, is one more way of saying
+    stop. After an ``abort()`` inside this process no Python runs any more: see `hardware.guard`.
 
     A handler that did more than count could run between any two byte codes, in the middle of a
     packet. In a thread that is not the main one nothing is installed, and `add` is the way.
@@ -131,7 +134,7 @@ class Interrupts:
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
-            for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGABRT"):
                 number = getattr(signal, name, None)
                 if number is not None:
                     self._before[number] = signal.signal(number, self.add)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from queue import Empty, SimpleQueue
@@ -100,10 +101,14 @@ class ControllerThread:
 def _numbers(controller: Controller) -> dict[str, Any]:
     """Diagnostics that are numbers or arrays of them, as they are now."""
     kept: dict[str, Any] = {}
-    for name, value in controller.diagnostics.items():
-        array = np.asarray(value)
-        if array.dtype.kind in "fiub":
-            kept[name] = array.tolist()
+    try:
+        for name, value in controller.diagnostics.items():
+            with contextlib.suppress(ValueError, TypeError):  # rows of different lengths
+                array = np.asarray(value)
+                if array.dtype.kind in "fiub":
+                    kept[str(name)] = array.tolist()
+    except Exception as problem:  # noqa: BLE001 (what is only shown must not stop a run)
+        kept["diagnostics_failed"] = f"{type(problem).__name__}: {problem}"
     return kept
 
 

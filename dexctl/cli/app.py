@@ -22,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = _dispatch(arguments)
         sys.stdout.flush()
     except KeyboardInterrupt as stop:  # what was saved, where something was
-        return _complain(str(stop) or "interrupted", INTERRUPTED)
+        return _complain(stop, INTERRUPTED, otherwise="interrupted")
     except BrokenPipeError:
         # whoever read our output has gone; keep Python from complaining once more when it exits
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DexctlError as error:
         return _complain(error, FAILED)
     except (OSError, MemoryError) as error:
-        return _complain(str(error) or "out of memory", FAILED)
+        return _complain(error, FAILED, otherwise="out of memory")
     return code
 
 
@@ -82,6 +82,8 @@ def _first_line(kind: type) -> str:
     return (kind.__doc__ or "").strip().partition("\n")[0]
 
 
-def _complain(what: object, code: int) -> int:
-    print(f"dexctl: {' '.join(str(what).split())}", file=sys.stderr)
+def _complain(error: BaseException, code: int, otherwise: str = "") -> int:
+    """One line: what the error says, and its notes."""
+    said = "; ".join([str(error) or otherwise, *getattr(error, "__notes__", ())])
+    print(f"dexctl: {' '.join(said.split())}", file=sys.stderr)
     return code

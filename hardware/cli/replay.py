@@ -18,7 +18,7 @@ from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware import report
 from hardware.cli.options import HandOptions, busy
-from hardware.cli.run import about, finish
+from hardware.cli.run import LOG, about, finish, keep_earlier
 from hardware.figures import figures_of_merit
 from hardware.log import Log, LogWriter, read_log
 from hardware.motions import Replay
@@ -51,9 +51,10 @@ class ReplayLog(HandOptions):
         period, q_target = rows_of(log)
         model, calibration = self.load()
         folder = make_folder(self.out)
-        target = folder / "run.mcap"
+        target = folder / LOG
         if target.exists() and self.log.exists() and target.samefile(self.log):
             raise InvalidInput(f"--out is the folder of {self.log} itself; expected another one")
+        keep_earlier(folder)
         was = {name: log.run["limits"][name] for name in ("speed_limit", "torque_limit")}
         limits = replace(self.limits(), **was)
         replay = Replay(model, q_target, control_period=period)
@@ -71,8 +72,7 @@ class ReplayLog(HandOptions):
         if hint := busy(self, found):
             console.print(hint)
         code = finish(found, folder, as_json=self.json)
-        again = read_log(target)
-        if not self.json and "q" in again.ticks:
+        if not self.json and target.exists() and "q" in (again := read_log(target)).ticks:
             results().print(f"joints against those of the log: {compare(log, again):.4g} rad RMS")
         return code
 

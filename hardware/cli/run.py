@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +24,7 @@ from dexctl.validation import check_name
 from hardware import report
 from hardware.calibration import Calibration
 from hardware.cli.options import HandOptions, Session, busy, flags
-from hardware.figures import figures_of_merit, in_words
+from hardware.figures import figures_of_merit, in_full, in_words
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
 from hardware.motions import Sine
@@ -37,6 +38,7 @@ _HELD = replace(HOLDING, object=(AUTO,))
 _SETTINGS = tuple(name for name in SceneConfig.__dataclass_fields__ if name not in CLOCK)
 _BLIND = ("hold", "sine")  # controllers that do not go by touch
 INTERRUPTED = 130
+LOG, PAGE = "run.mcap", "report.html"
 
 
 @dataclass(kw_only=True)
@@ -61,7 +63,7 @@ class Run(HandOptions):
     seed: int = 0
     """Seed of the random numbers of the controller, and of an emulated scene."""
     out: Path = Path("out")
-    """Folder for run.mcap and report.html."""
+    """Folder for run.mcap and report.html; those of an earlier run are renamed, not replaced."""
     json: Switch = False
     """Print one JSON object instead of the summary."""
     scene: Annotated[SceneConfig, only(_HELD, *_SETTINGS)] = _HELD
@@ -82,11 +84,12 @@ class Run(HandOptions):
         controller = make_controller(self.controller, model, asked)
         period = controller.control_period
         folder = make_folder(self.out)
+        keep_earlier(folder)
         with ExitStack() as stack:
             session = stack.enter_context(
                 self.open(limits, period, held=held, tactile=self.tactile, seed=self.seed)
             )
-            log = stack.enter_context(LogWriter(folder / "run.mcap"))
+            log = stack.enter_context(LogWriter(folder / LOG))
             log.write("/run", self._about(calibration, limits, held, period))
             console = notes()
             runner = Runner(
@@ -198,28 +201,60 @@ def truth(session: Session) -> Mapping[str, Any]:
     return getattr(session.tactile, "truth", {})
 
 
+def keep_earlier(folder: Path) -> None:
+    """Rename the log and report of an earlier run in ``folder``, and say so: nothing is lost."""
+    earlier = [folder / name for name in (LOG, PAGE) if (folder / name).exists()]
+    if not earlier:
+        return
+    number = next(
+        n for n in count(1)
+        if not any((folder / f"{Path(name).stem}-{n}{Path(name).suffix}").exists()
+                   for name in (LOG, PAGE))
+    )  # fmt: skip
+    for path in earlier:
+        kept = path.with_name(f"{path.stem}-{number}{path.suffix}")
+        path.rename(kept)
+        notes().print(f"{path} of an earlier run is kept as {kept.name}", soft_wrap=True)
+
+
 def finish(found: RunReport, folder: Path, *, as_json: bool) -> int:
-    """Report, summary and exit code of a run: 0 as wanted, 1 held or failed, 130 interrupted."""
-    log = read_log(folder / "run.mcap")
-    figures = figures_of_merit(log)
-    try:
-        report.write(log, folder / "report.html")
-        written = "run.mcap and report.html"
-    except ImportError as error:  # no matplotlib: MissingExtra says so
-        notes().print(f"no report: {error}")
-        written = "run.mcap"
+    """Report, summary and exit code of a run: 0 as wanted, 1 held or failed, 130 interrupted.
+
+    What is known of the torque is said first, whatever has become of the log.
+    """
+    if not as_json:
+        cause = f" ({found.cause.value})" if found.cause else ""
+        results().print(f"outcome: {in_full(found.outcome.value)}{cause}; {found.torque_message}")
+    figures, written = _report(folder)
     if as_json:
         print_json({"command": "run", **found.as_dict(), "figures": figures, "folder": str(folder)})
     else:
         console = results()
-        cause = f" ({found.cause.value})" if found.cause else ""
-        console.print(f"outcome: {found.outcome.value}{cause}; {found.torque_message}")
         console.print(facts(in_words(figures)))
-        console.print(f"in {folder}: {written}", soft_wrap=True)
-    if found.outcome is not State.IDLE:
+        console.print(f"in {folder}: {' and '.join(written) or 'nothing'}", soft_wrap=True)
+    if found.outcome is not State.IDLE or LOG not in written:
         return 1
     interrupted = found.counts[Event.INTERRUPT] + found.counts[Event.INTERRUPT_AGAIN]
     return INTERRUPTED if interrupted else 0
+
+
+def _report(folder: Path) -> tuple[dict[str, float], list[str]]:
+    """Figures of the log in ``folder``, and what there is to read there."""
+    try:
+        log = read_log(folder / LOG)
+        figures = figures_of_merit(log)
+    except InvalidInput as error:
+        notes().print(f"the log is lost: {error}", soft_wrap=True)
+        return {}, []
+    try:
+        report.write(log, folder / PAGE)
+    except ImportError as error:  # no matplotlib: MissingExtra says so
+        notes().print(f"no report: {error}")
+        return figures, [LOG]
+    except OSError as error:
+        notes().print(f"no report: {error}", soft_wrap=True)
+        return figures, [LOG]
+    return figures, [LOG, PAGE]
 
 
 def _line(said: RunEvent) -> str:
