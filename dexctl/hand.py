@@ -24,6 +24,8 @@ from dexctl.hand_config import HandConfig, Vector3
 from dexctl.state import Bools, Floats
 
 Item = TypeVar("Item")
+MOST_JOINTS = 256
+"""On one finger, arm and wrist included."""
 
 
 class HandModel:
@@ -51,7 +53,10 @@ class HandModel:
             of shorter fingers are filled up with zeros, which `moves` tells from joint 0.
         finger_joint_map: ``(m, n, d)``; one where joint d is the n-th of a finger, else zero.
         shares_joints: whether some joint moves more than one fingertip.
+        couplings: joints that follow others of the d (or are held, where ``master`` is None), by
+            name: those of the file and those of `config`.
         ignored_joints: joints of the file that move no fingertip.
+        description: the bodies and joints of the file, with all couplings.
         path: the description file that the hand came from.
         config: what is said of the hand beside that file.
         name: the hand's name, for people and files.
@@ -65,7 +70,7 @@ class HandModel:
         self.name = config.name
         self.base_rotation = config.palm.rotation
         self._arguments = (description, config)
-        description = _coupled(description, config)
+        description = self.description = _coupled(description, config)
         joints = config.joints
         self._resolve_fingertips(description, config.fingertips)
         chains = [self._chain(description, body) for body in self._tip_body]
@@ -246,8 +251,14 @@ class HandModel:
         """The (body, joint) pairs from the world to ``body``."""
         tip, chain = description.bodies[body].name, []
         while body >= 0:
-            chain = [(body, joint) for joint in description.bodies[body].joints] + chain
+            chain += [(body, joint) for joint in reversed(description.bodies[body].joints)]
             body = description.bodies[body].parent
+        chain.reverse()
+        if len(chain) > MOST_JOINTS:
+            raise HandModelError(
+                f"{self.path}: {len(chain)} joints move the fingertip {tip!r}; a hand may have "
+                f"{MOST_JOINTS} on a finger, and the rest fixed"
+            )
         for _, joint in chain:
             if joint.kind not in ("hinge", "slide"):
                 raise HandModelError(
@@ -267,18 +278,13 @@ class HandModel:
         order: list[str],
     ) -> None:
         """Make the pinocchio model of the bodies on the chains, and the maps into it."""
-        all_joints = {j.name: j for body in description.bodies for j in body.joints}
         model = pinocchio.Model()
-        placed: dict[int, tuple[int, pinocchio.SE3]] = {
-            -1: (0, pinocchio.SE3(self.base_rotation, np.zeros(3)))
-        }
-
-        def place(body: int) -> tuple[int, pinocchio.SE3]:
-            """The pinocchio joint that carries ``body``, and the body's placement on it."""
-            if body in placed:
-                return placed[body]
+        # the pinocchio joint that carries each body, and the body's placement on it
+        base = pinocchio.SE3(self.base_rotation, np.zeros(3))
+        placed: dict[int, tuple[int, pinocchio.SE3]] = {-1: (0, base)}
+        for body in _above(description, self._tip_body):
             item = description.bodies[body]
-            parent, offset = place(item.parent)
+            parent, offset = placed[item.parent]
             offset = offset * pinocchio.SE3(item.rotation, item.translation)
             for joint in item.joints:
                 anchor = pinocchio.SE3(np.eye(3), joint.anchor)
@@ -292,9 +298,8 @@ class HandModel:
                 parent = model.addJoint(parent, kind, offset * anchor * back, joint.name)
                 offset = anchor.inverse()
             placed[body] = (parent, offset)
-            return placed[body]
 
-        carriers = [place(body) for body in self._tip_body]
+        carriers = [placed[body] for body in self._tip_body]
         slots = list(model.names)[1:]
         # a joint that never moves sits at each fingertip, so that pinocchio places the tip too
         tips = []
@@ -321,13 +326,16 @@ class HandModel:
         self._map_fingers([[columns[joint.name] for _, joint in chain] for chain in chains])
         self.joint_names = tuple(order)
         self.nq = len(order)
-        found = [all_joints[name] for name in order]
+        found = [description.joints[name] for name in order]
         self.lower = np.array([joint.lower for joint in found])
         self.upper = np.array([joint.upper for joint in found])
         servos = self.config.servos
         self.effort = servos.of("effort", order, np.array([joint.effort for joint in found]))
         self.velocity = servos.of("velocity", order, np.array([joint.velocity for joint in found]))
-        self.ignored_joints = tuple(n for n in all_joints if n not in couplings and n not in order)
+        self.couplings = {name: one for name, one in couplings.items() if name not in order}
+        self.ignored_joints = tuple(
+            name for name in description.joints if name not in couplings and name not in order
+        )
 
     def _map_fingers(self, chains: list[list[int]]) -> None:
         """Which columns of pinocchio's Jacobian, and which of the d joints, belong to a finger."""
@@ -373,17 +381,27 @@ def _file(path: object) -> Path:
     return found
 
 
+def _above(description: Description, bodies: Iterable[int]) -> list[int]:
+    """``bodies`` and all that they hang on, parents first."""
+    found: set[int] = set()
+    for body in bodies:
+        while body >= 0 and body not in found:
+            found.add(body)
+            body = description.bodies[body].parent
+    return sorted(found)
+
+
 def _coupled(description: Description, config: HandConfig) -> Description:
     """The description with the couplings that its owner adds."""
     if not config.couplings:
         return description
-    known = [joint.name for body in description.bodies for joint in body.joints]
+    known = description.joints
     for follower, coupling in config.couplings.items():
-        for name in (follower, coupling.joint):
+        for name in filter(None, (follower, coupling.joint)):
             if name not in known:
                 raise UnknownName("joint in couplings", name, known)
     added = {
-        follower: Mimic(coupling.joint, coupling.scale, coupling.offset)
+        follower: Mimic(coupling.joint or None, coupling.scale, coupling.offset)
         for follower, coupling in config.couplings.items()
     }
     return replace(description, mimics={**description.mimics, **added})

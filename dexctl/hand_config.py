@@ -131,12 +131,18 @@ class HeldObject:
 class Coupling:
     """A joint that follows another: its position is ``scale * joint + offset``."""
 
-    joint: str
-    """The joint that is followed."""
+    joint: str = ""
+    """The joint that is followed; none: it is held at `offset`."""
     scale: float = 1.0
     """[rad/rad]"""
     offset: float = 0.0
     """[rad]"""
+
+    def __post_init__(self) -> None:
+        if not np.isfinite([self.scale, self.offset]).all():
+            raise HandModelError(f"a coupling has {self.scale} and {self.offset}; expected numbers")
+        if not self.joint and self.scale != 1.0:
+            raise HandModelError(f"a coupling has the scale {self.scale:g}, but lacks joint")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +170,7 @@ class HandConfig:
     postures: PostureConfig = field(default_factory=PostureConfig)
     object: HeldObject = field(default_factory=HeldObject)
     couplings: dict[str, Coupling] = field(default_factory=dict)
-    """Joints that follow others, beside those of which the file says so."""
+    """Joints that follow others or are held, beside those of which the file says so."""
     source: Path | None = field(default=None, compare=False)
     """The toml that this was read from; not a setting."""
 

@@ -125,6 +125,18 @@ offset = 0.1
     )
 
 
+def test_a_joint_that_is_held(two: Path, tmp_path: Path) -> None:
+    hand = HandModel.load(toml(tmp_path, "[couplings.a_j1]\noffset = 0.25"))
+    assert hand.joint_names == ("a_j2", "b_j1", "b_j2")
+    assert hand.couplings["a_j1"].master is None
+    plain = HandModel.from_mjcf(two, TIPS)
+    np.testing.assert_allclose(
+        hand.fingertip_positions([0.4, 0.2, 0.3]),
+        plain.fingertip_positions([0.25, 0.4, 0.2, 0.3]),
+        atol=1e-12,
+    )
+
+
 def test_a_posture_by_names(two: Path) -> None:
     hand = HandModel.from_mjcf(two, TIPS)
     np.testing.assert_allclose(hand.posture({"b_j1": 0.2, "a_j2": 9}), [0, 1.5, 0.2, 0.75])
@@ -143,7 +155,7 @@ def test_a_posture_by_names(two: Path) -> None:
         ("[servos]\neffort = {a_j1 = nan}", HandModelError, "servos.effort.a_j1 is nan"),
         ("[servos]\neffort = {c = 1}", UnknownName, "unknown joint in servos.effort 'c'; known: a"),
         ("[object]\nsize = -1", HandModelError, "object.size is -1"),
-        ("[couplings.a_j2]\nscale = 1", InvalidInput, "couplings.a_j2 lacks joint"),
+        ("[couplings.a_j2]\nscale = 2", HandModelError, "has the scale 2, but lacks joint"),
         ("[couplings.a_j9]\njoint = 'a_j1'", UnknownName, "joint in couplings 'a_j9'; known: a_j1"),
         ("[fingertips]\na_tip = [0, nan, 0]", HandModelError, "'a_tip' has the offset"),
         ("[fingertips]\n", HandModelError, "fingertips is empty"),

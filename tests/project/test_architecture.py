@@ -57,7 +57,7 @@ DOORS = {
     "mink": ["dexctl/switch/finger_ik.py"],
     "numba": ["dexctl/igm/compiled.py"],
     # mink's models are MuJoCo's, so its door needs MuJoCo too
-    "mujoco": ["dexctl/sim/", "dexctl/description.py", "dexctl/switch/finger_ik.py"],
+    "mujoco": ["dexctl/sim/", "dexctl/description/", "dexctl/switch/finger_ik.py"],
     "mujoco_menagerie": ["dexctl/hands/"],
     # environments, configurations and trained policies do without torch
     "torch": ["learning/algorithms/", "learning/training/"],

@@ -1,0 +1,48 @@
+"""XML files as they are written, before anybody makes sense of them."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+
+from dexctl.exceptions import HandModelError
+
+
+def parse_xml(path: Path) -> ElementTree.Element:
+    """The root element of an XML file.
+
+    Raises:
+        HandModelError: it is not well-formed, or in an encoding that is not known.
+    """
+    try:
+        return ElementTree.parse(path).getroot()
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
+        raise HandModelError(f"{path}: not well-formed XML: {error}") from None
+
+
+def check_numbers(path: Path) -> None:
+    """Raise where an MJCF file says what MuJoCo passes over: NaN, a lower limit above the upper.
+
+    Included files are not looked into.
+
+    Raises:
+        HandModelError: the message names the element and the attribute.
+    """
+    for element in parse_xml(path).iter():
+        for attribute, text in element.attrib.items():
+            try:
+                values = np.array([float(word) for word in text.split()])
+            except ValueError:
+                continue
+            wrong = None
+            if np.isnan(values).any():
+                wrong = "not a number"
+            elif attribute == "range" and len(values) == 2 and values[0] > values[1]:
+                wrong = "a lower limit above the upper"
+            if wrong:
+                name = element.get("name") or element.get("joint") or element.get("class") or ""
+                raise HandModelError(
+                    f"{path}: <{element.tag}> {name!r} has {attribute}={text!r}: {wrong}"
+                )
