@@ -34,7 +34,7 @@ class TouchConfig:
     and the weight of the links feign."""
     release_force: float = 0.2
     """And until the force has fallen below this [N]."""
-    lean: float = 0.5
+    lean: float = 0.0
     """How far the contact normal may lean with the estimated force, away from the direction to
     the object's centre (the fingertips' centroid where nothing tracks the object), as a tangent.
     0: it points to the centre."""

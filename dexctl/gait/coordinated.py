@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput
-from dexctl.gait.odometry import ContactOdometry
 from dexctl.gait.selection import Grasps, choose, holds_without
+from dexctl.grasp.odometry import ContactOdometry
 from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 from dexctl.limits import SetPointLimits

@@ -8,7 +8,7 @@ from typing import TypedDict, Unpack
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.validation import check_numbers, check_settings, check_twist, unit_axis
+from dexctl.validation import check_kind, check_numbers, check_settings, check_twist, unit_axis
 
 ENGINES = ("auto", "compiled", "plain")
 
@@ -43,6 +43,9 @@ class InGraspManipulationConfig:
     """Pulls it back across the axis [1/s]."""
     tilt_gain: float = 1.0
     """Turns the object's axis back to where it was then [1/s]."""
+    odometry: bool = True
+    """Where nothing tracks the object, its pose is summed up from the motion of the fingers that
+    hold it (`dexctl.grasp.odometry.ContactOdometry`); else the contacts' centroid stands for it."""
     closing_speed: float = 0.03
     """Fingers out of touch move towards the object at this speed [m/s]."""
     max_joint_speed: float = 2.0
@@ -70,6 +73,7 @@ class InGraspManipulationConfig:
             ),
             fractions=("min_force",),
         )
+        check_kind(self, odometry=bool)
         if self.length is not None:
             check_numbers(self, positive=("length",))
         if self.regulariser and self.regulariser < 1e-6:
@@ -89,6 +93,7 @@ class InGraspManipulationConfig:
             height_gain=0.0,
             centring_gain=0.0,
             tilt_gain=0.0,
+            odometry=False,
             closing_speed=0.0,
         )
         return replace(plain, **changes)
@@ -114,6 +119,7 @@ class InGraspManipulationChanges(TypedDict, total=False):
     height_gain: float
     centring_gain: float
     tilt_gain: float
+    odometry: bool
     closing_speed: float
     max_joint_speed: float
     max_lead: float

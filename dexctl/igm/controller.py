@@ -12,13 +12,15 @@ from numpy.typing import ArrayLike
 from dexctl.configuration import HandConfiguration
 from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput, MissingExtra
+from dexctl.grasp.odometry import ContactOdometry
 from dexctl.hand import HandModel
 from dexctl.igm.config import InGraspManipulationChanges, InGraspManipulationConfig
 from dexctl.igm.plain import PlainStep
 from dexctl.igm.regulation import Reference
 from dexctl.igm.step import StepInput, StepResult
+from dexctl.saved import batch_shape
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import with_changes
+from dexctl.validation import check_mask, with_changes
 
 _NO_ROWS = np.empty((0, 0))
 
@@ -86,6 +88,7 @@ class InGraspManipulation(Controller):
         turn = np.linalg.norm(self._twist[3:])
         self.axis = self._twist[3:] / turn if turn > 0 else np.array([0.0, 0.0, 1.0])
         self._reference = Reference(self.axis)
+        self._odometry = ContactOdometry(hand, control_period)
         self.engine = self._engine()
         if self.engine == "compiled":
             from dexctl.igm.compiled_step import CompiledStep
@@ -111,6 +114,10 @@ class InGraspManipulation(Controller):
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self._reference.reset(mask)
+        if mask is None:
+            self._odometry.start(0)
+        elif len(self._odometry.position):
+            self._odometry.forget(check_mask(mask, self._reference.known.shape))
 
     def refer_to(self, position: ArrayLike, quaternion: ArrayLike) -> None:
         """Pull the object back to a given pose instead of to where the next `act` finds it.
@@ -134,10 +141,18 @@ class InGraspManipulation(Controller):
         self._reference.give(place.reshape(-1, 3), pose.reshape(-1, 4))
 
     def state_dict(self) -> dict[str, Any]:
-        return self._signed(reference=self._reference.state_dict())
+        return self._signed(
+            reference=self._reference.state_dict(), odometry=self._odometry.state_dict()
+        )
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        self._reference.load_state_dict(self._parts(saved, "reference")["reference"])
+        parts = self._parts(saved, "reference", "odometry")
+        (count,) = batch_shape("odometry", parts["odometry"], "placed")
+        odometry = ContactOdometry(self.hand, self.control_period)
+        odometry.start(count)
+        odometry.load_state_dict(parts["odometry"])
+        self._reference.load_state_dict(parts["reference"])
+        self._odometry = odometry
 
     def act(self, state: GraspState) -> Floats:
         return self.command(state, _ALL)
@@ -180,6 +195,15 @@ class InGraspManipulation(Controller):
             hand_now = hand_now[None]
             arrays = tuple(a if a is _NO_ROWS else a[None] for a in arrays)
         q, q_target, point, normal, force, position, quaternion = arrays
+        if self.config.odometry:
+            if len(self._odometry.position) != count:
+                self._odometry.start(count)
+            if position is _NO_ROWS:
+                whole = state[None] if single else state
+                self._odometry.track(whole, hand_now, touch)
+                position, quaternion = self._odometry.position, self._odometry.quaternion
+            else:
+                self._odometry.follow(position, None if quaternion is _NO_ROWS else quaternion)
         result = self._step(
             StepInput(
                 hand_now=hand_now,

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from dexctl.controller import Controller, check_action, check_finite, check_state
 from dexctl.exceptions import InvalidInput
 from dexctl.grasp import is_force_closure
+from dexctl.grasp.odometry import ContactOdometry
 from dexctl.hand import HandModel
 from dexctl.limits import SetPointLimits
 from dexctl.saved import batch_shape, check_names, copies, fill
@@ -102,6 +103,7 @@ class _Guarded:
         self._dt = control_period
         self._switch = GuardedSwitch(hand, axis, config.switch, control_period)
         self._limits = SetPointLimits(hand, config.max_joint_speed, config.max_lead, control_period)
+        self._odometry = ContactOdometry(hand, control_period)
         self._streams = LateStreams()
         self._wait = np.zeros(0)
 
@@ -114,6 +116,7 @@ class _Guarded:
             self._allocate(np.size(mask))
         chosen = check_mask(mask, self._wait.shape)
         self._switch.clear(chosen)
+        self._odometry.forget(chosen)
         self._wait[chosen] = 0.0
         self._streams.reset(seed, chosen)
 
@@ -121,19 +124,22 @@ class _Guarded:
         return {
             **copies({"wait": self._wait}),
             "switch": self._switch.state_dict(),
+            "odometry": self._odometry.state_dict(),
             "streams": self._streams.state_dict(),
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        check_names("guarded switching", saved, ("wait", "switch", "streams"))
+        check_names("guarded switching", saved, ("wait", "switch", "odometry", "streams"))
         (count,) = batch_shape("guarded switching", saved, "wait") or (0,)
         self._meet(count)
         fill("guarded switching", {"wait": self._wait}, saved)
         self._switch.load_state_dict(saved["switch"])
+        self._odometry.load_state_dict(saved["odometry"])
         self._streams.load_state_dict(saved["streams"])
 
     def _allocate(self, count: int) -> None:
         self._switch.start(count)
+        self._odometry.start(count)
         self._wait = np.zeros(count)
 
     def _meet(self, count: int) -> None:
@@ -157,6 +163,10 @@ class _Guarded:
         self._meet(len(state.q))
         now = self._hand.configuration(state.q)
         tip = now.fingertip_position
+        if state.object_position is None:
+            state = self._odometry.track(state, now, state.in_contact & ~self._switch.released)
+        else:
+            self._odometry.follow(state.object_position, state.object_quaternion)
         origin = state.object_centre()
         self._begin(state, tip, origin)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dexctl.configuration import HandConfiguration
-from dexctl.grasp import grasp_map
+from dexctl.grasp.contacts import grasp_map
 from dexctl.hand import HandModel
 from dexctl.rotations import multiply
 from dexctl.saved import check_names, copies, fill
@@ -45,6 +46,33 @@ class ContactOdometry:
         self._holding = np.zeros((count, self._hand.n_fingers), bool)
         self._point = np.zeros((count, self._hand.n_fingers, 3))
         self._jacobian: Floats | None = None
+        self._placed: Bools = np.zeros(count, bool)
+        self._following = False
+
+    def forget(self, rows: Bools) -> None:
+        """`track` is to place the objects in ``rows`` ``(N,)`` anew."""
+        self._placed = self._placed & ~rows
+        self._following = False
+
+    def track(self, state: GraspState, now: HandConfiguration, holding: Bools) -> GraspState:
+        """``state`` ``(N,)``, which tracks no object, with their poses by dead reckoning.
+
+        Objects met for the first time are where the contacts' centroid is; without any touch the
+        fingertips themselves stand round the place where an object would be.
+
+        Args:
+            state: to be called with it once every control period.
+            now: the hand at ``state.q``.
+            holding: the fingers on the object, ``(N, m)``.
+        """
+        new = ~self._placed
+        if new.any():
+            touch = state.in_contact[new, :, None]
+            point = np.where(touch, state.contact_position[new], now.fingertip_position[new])
+            weight = np.where(touch.any(axis=1, keepdims=True), touch, True).astype(float)
+            self.place(new, (weight * point).sum(axis=1) / weight.sum(axis=1))
+        self.update(state, now, holding)
+        return replace(state, object_position=self.position, object_quaternion=self.quaternion)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         return {
@@ -53,6 +81,7 @@ class ContactOdometry:
             "q": self._q,
             "holding": self._holding,
             "point": self._point,
+            "placed": self._placed,
         } | ({} if self._jacobian is None else {"jacobian": self._jacobian})
 
     def state_dict(self) -> dict[str, Any]:
@@ -80,16 +109,22 @@ class ContactOdometry:
         self.position[rows] = position
         self.quaternion[rows] = (1.0, 0.0, 0.0, 0.0)
         self._holding = self._holding & ~rows[:, None]
+        self._placed = self._placed | rows
+        self._following = False
 
     def follow(self, position: Floats, quaternion: Floats | None) -> None:
         """Something tracks the objects: go on from there when it no longer does."""
         self.position = position
         if quaternion is not None:
             self.quaternion = quaternion
-        self._holding = np.zeros_like(self._holding)
+        if not self._following:  # a control step does this each time: it must cost nothing
+            self._holding = np.zeros_like(self._holding)
+            self._placed = np.ones_like(self._placed)
+            self._following = True
 
     def update(self, state: GraspState, now: HandConfiguration, holding: Bools) -> None:
         """Take in one control period; ``holding`` ``(N, m)`` are the fingers on the object."""
+        self._following = False
         point = np.where(holding[..., None], state.contact_position, now.fingertip_position)
         both = holding & self._holding
         if self._jacobian is not None and both.any():

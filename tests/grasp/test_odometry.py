@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from dexctl import GraspState, HandModel
+from dexctl import ContactSwitch, GraspState, HandModel, InGraspManipulation
 from dexctl.gait import CoordinatedGait
-from dexctl.gait.odometry import ContactOdometry
-from dexctl.rotations import cross, rotation_vector
-from dexctl.sim import BatchSimulator
+from dexctl.grasp.odometry import ContactOdometry
+from dexctl.igm import InGraspManipulationConfig
+from dexctl.rotations import cross, inverse, multiply, rotation_vector
+from dexctl.sim import BatchSimulator, Scene
 
 
 def _state(hand: HandModel, q: np.ndarray, touch: np.ndarray) -> GraspState:
@@ -74,8 +76,66 @@ def test_it_goes_on_from_where_tracking_ended(dex5: HandModel) -> None:
     np.testing.assert_array_equal(position, 0.1)  # the caller's array is not written to
 
 
-def test_the_gait_knows_where_the_object_is_without_tracking(dex5: HandModel, cube) -> None:
-    sim = BatchSimulator(cube, 4, seed=0)
+def test_objects_begin_at_their_contacts_and_again_when_forgotten(dex5: HandModel) -> None:
+    q = np.tile([0.0, 0.75, -1.5], 5)[None].repeat(2, axis=0)
+    touch = np.ones((2, 5), bool)
+    touch[1, 2:] = False
+    odometry = ContactOdometry(dex5, 0.05)
+    odometry.start(2)
+    state, now = _state(dex5, q, touch), dex5.configuration(q)
+    seen = odometry.track(state, now, touch)
+    tip = now.fingertip_position
+    assert seen.object_position is not None
+    np.testing.assert_allclose(seen.object_position, [tip[0].mean(axis=0), tip[1, :2].mean(axis=0)])
+    np.testing.assert_array_equal(seen.object_quaternion, [[1.0, 0, 0, 0]] * 2)
+    odometry.position = odometry.position + 0.02
+    odometry.forget(np.array([False, True]))
+    again = odometry.track(state, now, np.zeros_like(touch))
+    assert again.object_position is not None
+    np.testing.assert_allclose(again.object_position[0], tip[0].mean(axis=0) + 0.02)
+    np.testing.assert_allclose(again.object_position[1], tip[1, :2].mean(axis=0))
+
+
+@pytest.mark.parametrize("name", ["in-grasp", "switch, guarded"])
+def test_controllers_know_where_an_untracked_object_is(dex5: HandModel, name: str) -> None:
+    scene = Scene.build(dex5, "cylinder", "up")
+    sim = BatchSimulator(scene, 2, seed=0)
+    controller = {
+        "in-grasp": lambda: InGraspManipulation(dex5, twist=(0.002, 0, 0, 0, 0, 0.2)),
+        "switch, guarded": lambda: ContactSwitch(dex5, kind="guarded"),
+    }[name]()
+    state = sim.read()
+    start, turned = np.asarray(state.object_position), np.asarray(state.object_quaternion)
+    part = getattr(controller, "_part", controller)
+    for _ in range(60):
+        unseen = replace(state, object_position=None, object_quaternion=None)
+        sim.write(state.q_target + controller.act(unseen))
+        sim.step()
+        state = sim.read()
+    reckoned = part._odometry.position - start
+    moved = np.asarray(state.object_position) - start
+    # the contacts' centroid, where the odometry begins, is not the centre: up to 15 mm
+    np.testing.assert_allclose(reckoned, moved, atol=0.015)
+    about = rotation_vector(multiply(np.asarray(state.object_quaternion), inverse(turned)))
+    np.testing.assert_allclose(rotation_vector(part._odometry.quaternion), about, atol=0.1)
+    if name == "in-grasp":
+        assert about[:, 2].min() > 0.3
+
+
+def test_the_thesis_takes_the_centroid(dex5: HandModel) -> None:
+    q = np.tile([0.0, 0.75, -1.5], 5)[None]
+    state = _state(dex5, q, np.ones((1, 5), bool))
+    aside = np.array([0.01, 0.0, 0.0])
+    controller = InGraspManipulation(dex5, InGraspManipulationConfig.thesis())
+    moved = replace(state, contact_position=state.contact_position + aside)
+    for seen in (state, moved):
+        controller.act(seen)
+        centroid = seen.contact_position.mean(axis=1)
+        np.testing.assert_allclose(controller.diagnostics["origin"], centroid)
+
+
+def test_the_gait_knows_where_the_object_is_without_tracking(dex5: HandModel) -> None:
+    sim = BatchSimulator(Scene.build(dex5, "cube", "down"), 4, seed=0)
     gait = CoordinatedGait(dex5)
     state = sim.read()
     start = np.asarray(state.object_position)
