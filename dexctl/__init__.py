@@ -25,7 +25,6 @@ from dexctl.exceptions import (
     UnknownName,
 )
 from dexctl.hand import HandModel
-from dexctl.joint_touch import JointTouch
 from dexctl.plant import Plant
 from dexctl.state import GraspState
 from dexctl.touch import TouchConfig
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from dexctl import gait, grasp, igm, sim, switch
     from dexctl.gait import CoordinatedGait, FingerGaiting
     from dexctl.igm import InGraspManipulation
+    from dexctl.joint_touch import JointTouch
     from dexctl.switch import ContactSwitch
 
 try:
@@ -76,6 +76,7 @@ _LAZY: dict[str, tuple[str, str | None]] = {
     "gait": ("dexctl.gait", None),
     "sim": ("dexctl.sim", None),
     "InGraspManipulation": ("dexctl.igm", "InGraspManipulation"),
+    "JointTouch": ("dexctl.joint_touch", "JointTouch"),
     "ContactSwitch": ("dexctl.switch", "ContactSwitch"),
     "CoordinatedGait": ("dexctl.gait", "CoordinatedGait"),
     "FingerGaiting": ("dexctl.gait", "FingerGaiting"),
