@@ -27,7 +27,6 @@ from dexctl.exceptions import (
 from dexctl.hand import HandModel
 from dexctl.plant import Plant
 from dexctl.state import GraspState
-from dexctl.touch import TouchConfig
 
 if TYPE_CHECKING:
     from dexctl import gait, grasp, igm, sim, switch
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from dexctl.igm import InGraspManipulation
     from dexctl.joint_touch import JointTouch
     from dexctl.switch import ContactSwitch
+    from dexctl.touch import TouchConfig
 
 try:
     __version__ = version("dexctl")
@@ -76,6 +76,7 @@ _LAZY: dict[str, tuple[str, str | None]] = {
     "gait": ("dexctl.gait", None),
     "sim": ("dexctl.sim", None),
     "InGraspManipulation": ("dexctl.igm", "InGraspManipulation"),
+    "TouchConfig": ("dexctl.touch", "TouchConfig"),
     "JointTouch": ("dexctl.joint_touch", "JointTouch"),
     "ContactSwitch": ("dexctl.switch", "ContactSwitch"),
     "CoordinatedGait": ("dexctl.gait", "CoordinatedGait"),

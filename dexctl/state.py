@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
-from dexctl.touch import (
-    Bools,
-    Floats,
-    Hand,
-    TouchConfig,
-    estimate_touch,
-    per_joint,
-    servo_torques,
-)
+
+if TYPE_CHECKING:
+    from dexctl.touch import Hand, TouchConfig
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,6 +170,8 @@ class GraspState:
         **pose: Any,
     ) -> GraspState:
         """The state by stiffness, torque and free torque, and by what is known of the fingers."""
+        from dexctl.touch import TouchConfig, estimate_touch, per_joint, servo_torques
+
         stiffness, torque, free_torque = servos
         if stiffness is not None and torque is not None:
             raise InvalidInput("both stiffness and torque are given; expected one of them")

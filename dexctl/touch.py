@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from dexctl.exceptions import InvalidInput
 from dexctl.validation import check_numbers
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]  # as in dexctl.state, which stands above
 Bools = NDArray[np.bool_]
 _DAMPING = 0.005  # keeps forces finite where a finger is stretched [m]
 
