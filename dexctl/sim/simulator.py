@@ -421,6 +421,11 @@ class BatchSimulator:
         """MuJoCo's generalised positions ``(..., nq)``, for drawing."""
         return self._out(self._physics[:, self._layout.qpos].copy())
 
+    @property
+    def qvel(self) -> Floats:
+        """MuJoCo's generalised velocities ``(..., nv)``."""
+        return self._out(self._physics[:, self._layout.qvel].copy())
+
     def close(self) -> None:
         """Stop the threads; the simulator cannot be stepped any more."""
         if self._rollout is not None:

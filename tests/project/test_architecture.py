@@ -22,6 +22,7 @@ ROOMS = {
     "switch": "switch",
     "gait": "gait",
     "sim": "sim",
+    "planning": "planning",
     "controllers": "controllers",
     "cli": "application",
     "report": "application",
@@ -35,6 +36,7 @@ ALLOWED = {
     "switch": {"base", "grasp", "switch"},
     "gait": {"base", "grasp", "igm", "switch", "gait"},
     "sim": {"base", "grasp", "sim"},
+    "planning": {*INSIDE, "planning"} - {"controllers"},
     "controllers": {*INSIDE, "dexctl", "controllers"},  # by name
     "application": {*INSIDE, "application", "dexctl", "controllers"},
     "learning": {*INSIDE, "dexctl", "controllers", "learning"},

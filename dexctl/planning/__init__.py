@@ -1,0 +1,30 @@
+"""Planning in the space of grasps: trees of grasps, and three ways to grow them."""
+
+from dexctl.planning.bounds import Bounds
+from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
+from dexctl.planning.grow import Progress, grow
+from dexctl.planning.header import TreeHeader
+from dexctl.planning.macros import ControllerMacros
+from dexctl.planning.metric import Metric
+from dexctl.planning.nodes import Frame, Nodes
+from dexctl.planning.random_actions import RandomActions
+from dexctl.planning.stability import Stability
+from dexctl.planning.tree import Tree
+
+__all__ = [
+    "Bounds",
+    "ControllerMacros",
+    "Expander",
+    "Expansion",
+    "Frame",
+    "Metric",
+    "Nodes",
+    "Offspring",
+    "Problem",
+    "Progress",
+    "RandomActions",
+    "Stability",
+    "Tree",
+    "TreeHeader",
+    "grow",
+]

@@ -1,0 +1,193 @@
+"""Growing trees: targets, nearest nodes, expansion, and a file that is always whole."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput
+from dexctl.planning.bounds import Bounds
+from dexctl.planning.expansion import Expansion, Problem
+from dexctl.planning.header import TreeHeader
+from dexctl.planning.metric import Metric, Nearest
+from dexctl.planning.nodes import Frame, root_of
+from dexctl.planning.stability import Stability
+from dexctl.planning.tree import Tree
+from dexctl.settings import to_plain
+from dexctl.sim import Scene
+
+_BLOCK = 10.0  # the file is written anew after this long, and never for more than a tenth of it [s]
+
+
+class Progress(NamedTuple):
+    """How far a tree has come.
+
+    Attributes:
+        nodes: how many it has.
+        expansions: how many were tried.
+        rotation: the greatest of its nodes [rad].
+        seconds: since `grow` began [s].
+        refused: why candidates were not taken in, and how many.
+    """
+
+    nodes: int
+    expansions: int
+    rotation: float
+    seconds: float
+    refused: dict[str, int]
+
+
+def grow(
+    scene: Scene,
+    expansion: Expansion,
+    *,
+    nodes: int | None = None,
+    seconds: float | None = None,
+    until_rotation: float | None = None,
+    axis: ArrayLike = (0.0, 0.0, 1.0),
+    seed: int = 0,
+    metric: Metric | None = None,
+    bounds: Bounds | None = None,
+    stability: Stability | None = None,
+    threads: int | None = None,
+    tree: Tree | None = None,
+    path: str | Path | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Tree:
+    """Grow a tree of grasps from the settled one (thesis chapter 5, Alg. G-RRT).
+
+    A random point of the state space is drawn, the nearest node is expanded towards it, and what
+    holds becomes its child; a batch of points at a time. It stops at whichever comes first of
+    ``nodes``, ``seconds`` and ``until_rotation``.
+
+    Args:
+        scene: hand, object and gravity.
+        expansion: `RandomActions`, `ControllerMacros` or `Kinematic`.
+        nodes: how many are wanted.
+        seconds: of wall time.
+        until_rotation: of some node about the axis [rad].
+        axis: of the rotation, hand frame, ``(3,)`` or by name.
+        seed: the same seed, batch and number of expansions give the same tree.
+        metric, bounds, stability: None: their defaults.
+        threads: of the physics; None: every core.
+        tree: one to go on with; its own seed and counts are continued.
+        path: where the tree is written every few seconds and at the end, however that comes
+            (Ctrl-C too): a killed process loses the last block of some seconds, no more.
+        progress: called after every batch.
+
+    Raises:
+        InvalidInput: nothing says when to stop, or a tree of another hand, object or gravity.
+        SimulationError: the object does not stay in the hand.
+    """
+    if nodes is None and seconds is None and until_rotation is None:
+        raise InvalidInput(
+            "grow is told no end; expected nodes, seconds or until_rotation, or several"
+        )
+    for name, value in (("nodes", nodes), ("seconds", seconds), ("until_rotation", until_rotation)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InvalidInput(f"{name} is {value}; expected a number above 0")
+    bounds = bounds or Bounds()
+    if until_rotation is not None and until_rotation > bounds.rotation[1] + 0.5:
+        raise InvalidInput(
+            f"until_rotation is {until_rotation:g}; targets go up to {bounds.rotation[1]:g} rad "
+            "(Bounds.rotation)"
+        )
+    root = root_of(scene)
+    problem = Problem(
+        scene=scene,
+        root=root,
+        frame=Frame.of(axis, root),
+        metric=metric or Metric(),
+        bounds=bounds,
+        stability=stability or Stability(),
+        threads=threads,
+    )
+    expander = expansion.open(problem)
+    try:
+        tree = _begin(problem, expansion, expander.action_names, seed, tree)
+        search = Nearest(len(scene.hand.joint_names) + 6)
+        search.add(problem.metric.of(problem.frame, tree.nodes))
+        limits = (np.asarray(scene.lower), np.asarray(scene.upper))
+        start = saved = perf_counter()
+        spent = tree.header.seconds
+        wait = _BLOCK
+        best = float(tree.rotation.max())
+        while not (
+            (nodes is not None and len(tree) >= nodes)
+            or (until_rotation is not None and best >= until_rotation)
+            or (seconds is not None and perf_counter() - start >= seconds)
+        ):
+            # a generator of the number of expansions: a tree that is resumed goes on as it would
+            header = tree.header
+            rng = np.random.default_rng([header.seed % 2**63, header.expansions])
+            targets = bounds.targets(
+                problem.frame, problem.metric, root.q[0], limits, rng, expander.batch
+            )
+            near = search(targets)
+            found = expander(tree.nodes.take(near), targets, rng)
+            header.expansions += expander.batch
+            header.physics_steps += found.physics_steps
+            header.refused = dict(Counter(header.refused) + Counter(found.refused))
+            header.seconds = spent + perf_counter() - start
+            count = len(found.nodes)
+            tree.append(
+                found.nodes, near[found.source], found.action, np.full(count, header.expansions)
+            )
+            if count:
+                search.add(problem.metric.of(problem.frame, found.nodes))
+                best = max(best, float(found.nodes.rotation.max()))
+            if progress is not None:
+                progress(
+                    Progress(
+                        len(tree), header.expansions, best, perf_counter() - start, header.refused
+                    )
+                )
+            if path is not None and perf_counter() - saved > wait:
+                began = perf_counter()
+                tree.save(path)
+                saved = perf_counter()
+                wait = max(_BLOCK, 10 * (saved - began))
+        return tree
+    finally:
+        expander.close()
+        if path is not None and tree is not None:
+            tree.save(path)
+
+
+def _begin(
+    problem: Problem,
+    expansion: Expansion,
+    action_names: tuple[str, ...],
+    seed: int,
+    tree: Tree | None,
+) -> Tree:
+    """A new tree, or the one that is to go on, where it is of this problem."""
+    settings = {
+        name: to_plain(value)
+        for name, value in (
+            ("expansion", expansion),
+            ("metric", problem.metric),
+            ("bounds", problem.bounds),
+            ("stability", problem.stability),
+        )
+    }
+    header = TreeHeader.of(
+        problem.scene,
+        problem.frame.axis,
+        type(expansion).__name__,
+        action_names,
+        settings,
+        seed,
+    )
+    if tree is None:
+        return Tree(header, problem.root)
+    tree.header.check_same(header)
+    if not np.allclose(tree.nodes.q[0], problem.root.q[0], atol=1e-6):
+        raise InvalidInput("the tree has another root than the scene's settled grasp")
+    return tree

@@ -1,0 +1,137 @@
+"""TreeHeader: what a tree is of, how it was grown, and what came of its expansions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from dexctl.exceptions import InvalidInput
+from dexctl.sim import Scene
+
+FORMAT = 1
+_SAME = (
+    "hand", "joint_names", "object", "object_width", "object_mass", "gravity", "axis",
+    "action_names",
+)  # fmt: skip
+
+
+@dataclass(kw_only=True)
+class TreeHeader:
+    """What stands in a tree's file beside its arrays.
+
+    Attributes:
+        hand: its name.
+        joint_names: in the order of ``q``.
+        object: its name.
+        object_width: [m].
+        object_mass: [kg].
+        gravity: ``(3,)`` [m/s^2].
+        axis: of the rotation, unit.
+        expansion: the way of expanding, by its class.
+        action_names: what the columns of the actions are.
+        settings: of expansion, metric, bounds and stability, by name.
+        versions: of dexctl, MuJoCo and numpy.
+        seed: of its random numbers.
+        scene: of `SceneConfig`, where the scene was built from one.
+        expansions: how many were tried.
+        refused: why candidates were not taken in, and how many.
+        physics_steps: that were simulated.
+        seconds: wall time that it took [s].
+    """
+
+    hand: str
+    joint_names: tuple[str, ...]
+    object: str
+    object_width: float
+    object_mass: float
+    gravity: tuple[float, ...]
+    axis: tuple[float, ...]
+    expansion: str
+    action_names: tuple[str, ...]
+    settings: dict[str, Any]
+    versions: dict[str, str]
+    seed: int
+    scene: dict[str, Any] | None = None
+    expansions: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    physics_steps: int = 0
+    seconds: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        axis: np.ndarray,
+        expansion: str,
+        action_names: Sequence[str],
+        settings: Mapping[str, Any],
+        seed: int,
+    ) -> TreeHeader:
+        """Of a tree that is about to be grown."""
+        return cls(
+            hand=scene.hand.name,
+            joint_names=tuple(scene.hand.joint_names),
+            object=scene.object,
+            object_width=float(scene.object_width),
+            object_mass=float(scene.object_mass),
+            gravity=tuple(scene.gravity.tolist()),
+            axis=tuple(np.asarray(axis, float).tolist()),
+            expansion=expansion,
+            action_names=tuple(action_names),
+            settings=dict(settings),
+            versions={name: version(name) for name in ("dexctl", "mujoco", "numpy")},
+            seed=int(seed),
+        )
+
+    def to_plain(self) -> dict[str, Any]:
+        """Plain values, for a file."""
+        return {"format": FORMAT, **asdict(self)}
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Any]) -> TreeHeader:
+        """From what `to_plain` gave.
+
+        Raises:
+            InvalidInput: it is of another format, or something is missing.
+        """
+        if not isinstance(values, Mapping) or values.get("format") != FORMAT:
+            found = values.get("format") if isinstance(values, Mapping) else None
+            raise InvalidInput(f"its format is {found}; expected {FORMAT}")
+        rest = {name: value for name, value in values.items() if name != "format"}
+        known = set(cls.__dataclass_fields__)
+        if set(rest) != known:
+            odd = ", ".join(sorted(set(rest) ^ known))
+            raise InvalidInput(f"its header has other entries than expected: {odd}")
+        for name in ("joint_names", "gravity", "axis", "action_names"):
+            rest[name] = tuple(rest[name])
+        return cls(**rest)
+
+    def check_same(self, other: TreeHeader) -> None:
+        """Raise InvalidInput where the two are not of one hand, object, gravity and action."""
+        for name in _SAME:
+            mine, theirs = getattr(self, name), getattr(other, name)
+            if name in ("object_width", "object_mass", "gravity", "axis"):
+                same = np.shape(mine) == np.shape(theirs) and np.allclose(mine, theirs, atol=1e-9)
+            else:
+                same = mine == theirs
+            if not same:
+                raise InvalidInput(f"the tree is of the {name} {mine!r}; expected {theirs!r}")
+
+    @classmethod
+    def sum(cls, headers: Sequence[TreeHeader]) -> TreeHeader:
+        """Of trees that are merged: what was counted is added up."""
+        refused: dict[str, int] = {}
+        for header in headers:
+            for why, count in header.refused.items():
+                refused[why] = refused.get(why, 0) + count
+        return replace(
+            headers[0],
+            expansions=sum(header.expansions for header in headers),
+            physics_steps=sum(header.physics_steps for header in headers),
+            seconds=max(header.seconds for header in headers),
+            refused=refused,
+        )

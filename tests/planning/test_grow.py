@@ -1,0 +1,146 @@
+"""Growing in simulation: nodes hold, resuming goes on as it would have, lazy is literal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dexctl.exceptions import InvalidInput
+from dexctl.planning import (
+    Bounds,
+    ControllerMacros,
+    Expansion,
+    Nodes,
+    Progress,
+    RandomActions,
+    Stability,
+    Tree,
+    grow,
+)
+from dexctl.planning.nodes import put
+from dexctl.sim import BatchSimulator, Scene, rotation_about
+
+
+def same(a: Tree, b: Tree) -> None:
+    assert len(a) == len(b)
+    for name in ("rotation", "parent", "action", "expansion"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    np.testing.assert_array_equal(a.nodes.q, b.nodes.q)
+
+
+def test_nodes_hold_for_two_seconds(cylinder: Scene, small: Tree) -> None:
+    assert len(small) >= 20 and small.rotation.max() > 0.1
+    nodes, strict = small.nodes, Stability(seconds=2.0)
+    with BatchSimulator(cylinder, len(small), disturbance=0.0, threads=1) as sim:
+        put(sim, nodes)
+        found = strict.check(sim)
+    assert found.stable.mean() > 0.9
+    assert (nodes.in_contact.sum(axis=1) >= 3).all()
+    assert Bounds().hold(small.frame, nodes).all()
+    header = small.header
+    tried = header.expansions * RandomActions().actions
+    assert len(small) - 1 + sum(header.refused.values()) <= tried
+    assert header.physics_steps > 0 and header.seconds > 0
+
+
+def test_rotation_is_that_of_the_pose_and_cost_adds_up(small: Tree) -> None:
+    nodes = small.nodes
+    for node in (len(small) - 1, int(small.rotation.argmax())):
+        along = small.path_to(node)
+        np.testing.assert_allclose(
+            nodes.rotation[along], rotation_about(nodes.object_quaternion[along]), atol=1e-9
+        )
+    parent = small.parent[1:]
+    np.testing.assert_allclose(nodes.cost[1:], nodes.cost[parent] + 0.1)
+    np.testing.assert_allclose(small.action[1:].std(), 0.15, atol=0.03)
+
+
+def test_a_resumed_tree_goes_on_as_it_would_have(
+    cylinder: Scene, small: Tree, tmp_path: Path
+) -> None:
+    path = tmp_path / "tree.npz"
+    half = grow(cylinder, RandomActions(batch=8), nodes=8, seed=1, threads=1, path=path)
+    assert len(half) < len(small)
+    again = grow(
+        cylinder, RandomActions(batch=8), nodes=20, seed=99, threads=1, tree=Tree.load(path)
+    )
+    same(again, small)
+    assert again.header.refused == small.header.refused
+
+
+def test_lazy_and_literal_find_the_same_nodes(cylinder: Scene) -> None:
+    lazy = RandomActions(batch=6, actions=3)
+    stability = Stability(seconds=0.3)
+    trees = [
+        grow(cylinder, expansion, nodes=6, seed=4, threads=1, stability=stability)
+        for expansion in (lazy, replace(lazy, lazy=False))
+    ]
+    same(*trees)
+    assert trees[0].header.physics_steps < trees[1].header.physics_steps
+
+
+def test_macros_turn_the_object_further(cylinder: Scene) -> None:
+    macros = ControllerMacros(batch=8)
+    seen: list[Progress] = []
+    tree = grow(cylinder, macros, nodes=10, seed=0, threads=1, progress=seen.append)
+    assert tree.rotation.max() > 0.5
+    action = dict(zip(tree.header.action_names, tree.action[1:].T, strict=True))
+    assert {-1.0} < set(action["finger"]) <= {-1.0, 0.0, 1.0, 2.0, 3.0, 4.0}
+    assert (action["seconds"] >= 0.2 - 1e-9).all()
+    np.testing.assert_allclose(
+        tree.nodes.cost[1:], tree.nodes.cost[tree.parent[1:]] + action["seconds"]
+    )
+    assert seen[-1].nodes == len(tree) and seen[-1].expansions == tree.header.expansions
+    assert tree.header.settings["expansion"]["macro"]["in_grasp"]["grip_force"] == 2.5
+
+
+def test_a_tree_that_is_interrupted_is_whole(cylinder: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "tree.npz"
+
+    def stop(progress: Progress) -> None:
+        if progress.nodes > 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        grow(cylinder, RandomActions(batch=8), nodes=100, seed=1, path=path, progress=stop)
+    assert len(Tree.load(path)) > 1
+
+
+def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
+    class Never(Expansion):
+        def open(self, problem):
+            raise AssertionError("no expansion is to be opened")
+
+    wrong: dict[str, Any]
+    for wrong, why in (
+        ({}, "grow is told no end"),
+        ({"nodes": 0}, "nodes is 0; expected a number above 0"),
+        ({"until_rotation": 9.0}, "until_rotation is 9; targets go up to 7 rad"),
+        ({"nodes": 5, "axis": (0, 0, 0)}, "axis"),
+    ):
+        with pytest.raises(InvalidInput, match=why):
+            grow(cylinder, Never(), **wrong)
+    down = Scene.build("dex5", "cylinder", "down")
+    with pytest.raises(InvalidInput, match="the tree is of the gravity"):
+        grow(down, RandomActions(batch=2), nodes=30, tree=small, threads=1)
+    for make, why in (
+        (lambda: RandomActions(actions=0), "actions is 0"),
+        (lambda: RandomActions(scale=-1), "scale is -1"),
+        (lambda: ControllerMacros(still=0.8, guided=0.4), "add up to 1"),
+        (lambda: ControllerMacros(seconds=(1.0, 9.0)), "seconds is"),
+        (lambda: ControllerMacros(speed=(1.0, 0.0)), "speed is"),
+    ):
+        with pytest.raises(InvalidInput, match=why):
+            make()
+
+
+def test_nodes_are_rows(small: Tree) -> None:
+    nodes = small.nodes
+    again = Nodes.concatenate([nodes.take([0]), nodes.take(np.arange(1, len(nodes)))])
+    np.testing.assert_array_equal(again.q, nodes.q)
+    with pytest.raises(ValueError, match="read-only"):
+        small.rotation[0] = 1.0

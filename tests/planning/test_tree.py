@@ -1,0 +1,177 @@
+"""Trees as arrays: paths by hand, files that are whole, what does not belong together."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dexctl.exceptions import InvalidInput
+from dexctl.planning import Nodes, Tree, TreeHeader
+from dexctl.sim.grasp_states import GraspStates
+
+
+def header(**changes: object) -> TreeHeader:
+    values: dict = {
+        "hand": "two", "joint_names": ("a", "b"), "object": "cube", "object_width": 0.1,
+        "object_mass": 0.1, "gravity": (0.0, 0.0, -9.81), "axis": (0.0, 0.0, 1.0),
+        "expansion": "RandomActions", "action_names": ("change_a", "change_b"), "settings": {},
+        "versions": {}, "seed": 0,
+    }  # fmt: skip
+    return TreeHeader(**{**values, **changes})
+
+
+def nodes(rotation: list[float]) -> Nodes:
+    count = len(rotation)
+    number = np.arange(count, dtype=float)[:, None]
+    return Nodes(
+        q=number + np.array([0.0, 0.5]),
+        q_target=number + np.array([0.1, 0.6]),
+        object_position=np.zeros((count, 3)),
+        object_quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        joint_velocity=np.zeros((count, 2)),
+        object_velocity=np.zeros((count, 6)),
+        in_contact=np.ones((count, 3), bool),
+        rotation=np.array(rotation),
+        cost=np.arange(count, dtype=float),
+    )
+
+
+def grown(parent: list[int], rotation: list[float]) -> Tree:
+    """A tree with these parents, the root's left out, and rotations, the root's first."""
+    every = nodes(rotation)
+    tree = Tree(header(), every.take([0]))
+    for i, p in enumerate(parent, 1):
+        tree.append(every.take([i]), [p], [[0.1 * i, 0.2]], [i])
+    return tree
+
+
+#        0 - 1 - 2 - 3   (3: 0.9 rad)
+#             \ 4 - 5    (5: 0.8 rad)
+#        0 - 6           (6: 0.1 rad)
+def forked() -> Tree:
+    return grown([0, 1, 2, 1, 4, 0], [0.0, 0.2, 0.5, 0.9, 0.4, 0.8, 0.1])
+
+
+def test_paths_end_at_the_furthest_and_share_no_end() -> None:
+    whole = [path.tolist() for path in forked().paths(3)]
+    assert whole == [[0, 1, 2, 3], [0, 1, 4, 5], [0, 6]]
+    # the thesis deletes: 1 is gone with the first path, and 4, 5 are no orphans of it
+    cut = [path.tolist() for path in forked().paths(3, whole=False)]
+    assert cut == [[0, 1, 2, 3], [4, 5], [0, 6]]
+    assert len(forked().paths(100)) == 3  # the nodes run out
+
+
+def test_paths_to_goals() -> None:
+    tree = forked()
+    assert [path.tolist() for path in tree.paths(2, 0.45)] == [[0, 1, 2], [0, 1, 4]]
+    assert [path[-1] for path in tree.paths(2, [0.1, 0.8])] == [6, 5]
+    with pytest.raises(InvalidInput, match=r"goal is 3 rad; the tree reaches 0\.00 to 0\.90"):
+        tree.paths(1, 3.0)
+    with pytest.raises(InvalidInput, match="n is 0; expected a whole number"):
+        tree.paths(0)
+    with pytest.raises(InvalidInput, match="node is 7; expected 0 to 6"):
+        tree.path_to(7)
+    with pytest.raises(InvalidInput, match="parents are"):
+        tree.append(nodes([0.3]), [9], [[0.0, 0.0]], [9])
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=60), st.randoms(use_true_random=False))
+def test_every_path_is_a_chain_of_parents(rotation: list[float], random) -> None:
+    parent = [random.randrange(i) for i in range(1, len(rotation))]
+    tree = grown(parent, rotation)
+    assert len(tree) == len(rotation)
+    seen: set[int] = set()
+    for whole in (True, False):
+        seen.clear()
+        for path in tree.paths(5, whole=whole):
+            assert (tree.parent[path[1:]] == path[:-1]).all()
+            assert whole or not (set(path[path > 0].tolist()) & seen)
+            seen |= set(path.tolist())
+
+
+def test_a_tree_is_the_same_after_its_file(tmp_path: Path) -> None:
+    tree, path = forked(), tmp_path / "tree.npz"
+    tree.header.refused = {"bounds": 3}
+    tree.save(path)
+    again = Tree.load(path)
+    assert again.header == tree.header
+    for name in ("rotation", "parent", "action", "expansion"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(tree, name))
+    np.testing.assert_array_equal(again.nodes.q_target, tree.nodes.q_target)
+    again.append(nodes([0.0]), [6], [[0.0, 0.0]], [8])
+    assert len(again) == 8 and len(tree) == 7
+    with np.load(path, allow_pickle=False) as file:  # numpy alone
+        assert json.loads(str(file["meta"]))["object"] == "cube"
+        assert file["parent"].tolist() == [-1, 0, 1, 2, 1, 4, 0]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_its_file_is_one_of_grasp_states(tmp_path: Path) -> None:
+    tree, path = forked(), tmp_path / "tree.npz"
+    tree.save(path)
+    found, own = GraspStates.load(path), tree.states()
+    assert len(found) == 7 and found.hand == "two" and set(found.object) == {"cube"}
+    np.testing.assert_array_equal(found.q_target, own.q_target)
+    chosen = tree.states(np.concatenate(tree.paths(1)))
+    np.testing.assert_array_equal(chosen.q[:, 0], [0, 1, 2, 3])
+    with pytest.raises(InvalidInput, match="no nodes are chosen"):
+        tree.states([])
+
+
+def test_files_that_are_no_trees(tmp_path: Path) -> None:
+    path = tmp_path / "tree.npz"
+    with pytest.raises(InvalidInput, match="cannot be read"):
+        Tree.load(path)
+    forked().save(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InvalidInput, match=r"tree '.*tree.npz' cannot be read"):
+        Tree.load(path)
+    forked().states().save(path)
+    with pytest.raises(InvalidInput, match="lacks .*parent.*; it is no tree"):
+        Tree.load(path)
+    for name, value, why in (
+        ("parent", np.array([-1, 0, 1, 2, 1, 4, 6]), "do not stand before their children"),
+        ("q", np.full((7, 2), np.nan), "q has numbers that are not finite"),
+        ("q", np.zeros((7, 3)), r"q has shape \(7, 3\); expected \(7, 2\)"),
+        ("meta", np.asarray("{}"), "its format is None; expected 1"),
+    ):
+        forked().save(path)
+        with np.load(path) as stored:
+            values = {key: stored[key] for key in stored.files}
+        values[name] = value
+        np.savez(path, **values)
+        with pytest.raises(InvalidInput, match=why):
+            Tree.load(path)
+
+
+def test_trees_of_several_processes_become_one() -> None:
+    a, b = forked(), grown([0, 1], [0.0, 0.3, 1.2])
+    a.header.expansions, b.header.expansions, b.header.refused = 10, 5, {"bounds": 2}
+    merged = Tree.merge([a, b])
+    assert len(merged) == 9 and merged.header.expansions == 15
+    assert merged.header.refused == {"bounds": 2}
+    assert merged.path_to(8).tolist() == [0, 7, 8]
+    assert merged.rotation[8] == 1.2
+    assert a.header.expansions == 10
+    only = Tree.merge([Tree(header(), nodes([0.0])), b])
+    assert len(only) == 3
+    other = Tree(header(object="sphere"), nodes([0.0]))
+    with pytest.raises(InvalidInput, match="of the object 'sphere'; expected 'cube'"):
+        Tree.merge([a, other])
+    with pytest.raises(InvalidInput, match="different roots"):
+        Tree.merge([a, Tree(header(), nodes([0.0, 0.0]).take([1]))])
+    with pytest.raises(InvalidInput, match="got no trees"):
+        Tree.merge([])
+
+
+def test_a_tree_is_a_graph() -> None:
+    pytest.importorskip("networkx", reason="the extra 'planning' is not installed")
+    graph = forked().to_networkx()
+    assert sorted(graph.edges) == [(0, 1), (0, 6), (1, 2), (1, 4), (2, 3), (4, 5)]
+    assert graph.nodes[5]["rotation"] == 0.8
