@@ -14,43 +14,49 @@ WIDTH = 96
 
 
 def to_toml(config: Any, comments: Mapping[str, str]) -> str:
-    """``config``, a dataclass, with what differs from nothing: None and empty tables are left out.
+    """``config``, a dataclass, without what is as it is by default and has no comment.
 
     Args:
         config: values are texts, numbers, paths, lists of those, tables by name, dataclasses.
         comments: what stands above a value or a table, by its dotted path; "" is the file's head.
     """
-    lines = [*_comment(comments.get("", ""))]
-    lines += _table(_values(config), "", comments)
+    lines = [*_comment(comments.get("", "")), *_table(_values(config, "", comments), "", comments)]
     return "\n".join(lines).strip() + "\n"
 
 
-def _values(config: Any) -> dict[str, Any]:
-    return {
-        one.name: getattr(config, one.name)
-        for one in fields(config)
-        if one.compare  # what is not compared is no setting
-    }
+def _values(config: Any, path: str, comments: Mapping[str, str]) -> dict[str, Any]:
+    found = {}
+    for one in fields(config):
+        value, where = getattr(config, one.name), f"{path}.{one.name}" if path else one.name
+        # what is not compared is no setting
+        if one.compare and (value != one.default or where in comments):
+            found[one.name] = value
+    return found
 
 
-def _table(values: Mapping[str, Any], path: str, comments: Mapping[str, str]) -> Iterator[str]:
+def _table(
+    values: Mapping[str, Any], path: str, comments: Mapping[str, str], by_name: bool = False
+) -> Iterator[str]:
+    """The lines of a table; ``by_name`` where its owner chose the names, each of which counts."""
     tables = {}
     for name, value in values.items():
-        if is_dataclass(value):
-            value = _values(value)
-        if value is None or value == {} or value == "":
-            continue
         where = f"{path}.{name}" if path else name
-        if isinstance(value, Mapping):
-            tables[where, name] = value
-        else:
+        if is_dataclass(value):
+            tables[where] = _values(value, where, comments), by_name, False
+        elif isinstance(value, Mapping):
+            tables[where] = value, False, True
+        elif value is not None:
             yield from _comment(comments.get(where, ""))
             yield f"{_key(name)} = {_value(value)}"
-    for (where, _), value in tables.items():
-        body = list(_table(value, where, comments))
-        if body:
-            yield ""
-            yield from _comment(comments.get(where, ""))
+    for where, (value, even_empty, names) in tables.items():
+        body = list(_table(value, where, comments, names))
+        if not (body or even_empty):
+            continue
+        yield ""
+        yield from _comment(comments.get(where, ""))
+        if body and not body[0]:  # the empty line above a table of tables
+            yield from body[1:]
+        else:
             yield f"[{'.'.join(_key(part) for part in _parts(where, path))}]"
             yield from body
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 from dexctl.description.mjcf import load_mujoco, read_mjcf
 from dexctl.description.tree import Body, Description, Joint, Mimic
 from dexctl.description.urdf import read_urdf
-from dexctl.exceptions import HandModelError
+from dexctl.description.xml_text import root_tag
 
 __all__ = [
     "Body",
@@ -30,17 +29,3 @@ def read(path: Path) -> Description:
         HandModelError: it is neither, or not well made.
     """
     return read_urdf(path) if root_tag(path) == "robot" else read_mjcf(path)
-
-
-def root_tag(path: Path) -> str:
-    """The name of an XML file's root element.
-
-    Raises:
-        HandModelError: the file is not XML.
-    """
-    try:
-        for _, element in ElementTree.iterparse(path, events=("start",)):
-            return element.tag
-    except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise HandModelError(f"{path}: not well-formed XML: {error}") from None
-    raise HandModelError(f"{path}: no element in it")

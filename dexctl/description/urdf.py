@@ -66,6 +66,28 @@ def read_urdf(path: Path) -> Description:
     return Description(path, bodies, {}, mimics)
 
 
+def rotation_of(rpy: Floats) -> Floats:
+    """The rotation matrix of roll, pitch and yaw about fixed axes [rad]."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def numbers(text: str | None, count: int) -> Floats:
+    """``count`` numbers out of an attribute; zeros where it is missing or holds none."""
+    try:
+        values = np.array([float(word) for word in (text or "").split()])
+    except ValueError:
+        values = np.zeros(0)
+    usable = len(values) == count and np.isfinite(values).all()
+    return values if usable else np.zeros(count)
+
+
 def _check_mass(path: Path, link: ElementTree.Element) -> None:
     mass = link.find("inertial/mass")
     text = "0" if mass is None else mass.get("value", "")
@@ -103,15 +125,7 @@ class _UrdfJoint:
 
     def origin(self) -> tuple[Floats, Floats]:
         """Rotation and translation of the child link in the parent link, at joint position 0."""
-        roll, pitch, yaw = self._numbers("origin", "rpy", (0, 0, 0))
-        (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-        rotation = np.array(
-            [
-                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-                [-sp, cp * sr, cp * cr],
-            ]
-        )
+        rotation = rotation_of(self._numbers("origin", "rpy", (0, 0, 0)))
         return rotation, self._numbers("origin", "xyz", (0, 0, 0))
 
     def joints(self) -> list[Joint]:

@@ -50,3 +50,17 @@ def check_numbers(path: Path) -> None:
                 raise HandModelError(
                     f"{path}: <{element.tag}> {name!r} has {attribute}={text!r}: {wrong}"
                 )
+
+
+def root_tag(path: Path) -> str:
+    """The name of an XML file's root element.
+
+    Raises:
+        HandModelError: the file is not XML.
+    """
+    try:
+        for _, element in ElementTree.iterparse(path, events=("start",)):
+            return element.tag
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
+        raise HandModelError(f"{path}: not well-formed XML: {error}") from None
+    raise HandModelError(f"{path}: no element in it")

@@ -59,7 +59,8 @@ def config(hand: str | Path) -> HandConfig:
     """What is known of a hand, by name or from its file.
 
     Args:
-        hand: one of `names`, or a toml file.
+        hand: one of `names`, a toml file, or a bare MJCF or URDF file, for which what
+            `dexctl.hands.proposals` proposes has to do.
 
     Raises:
         UnknownName: no such name.
@@ -67,7 +68,11 @@ def config(hand: str | Path) -> HandConfig:
     """
     check(hand)
     if is_file(hand):
-        return HandConfig.read(hand)
+        if Path(hand).suffix.lower() == ".toml":
+            return HandConfig.read(hand)
+        from dexctl.hands.proposals import propose  # needs MuJoCo for an MJCF
+
+        return propose(hand).config
     if hand in _OWN:
         return HandConfig.read(_OWN[str(hand)])
     point = _added()[str(hand)]
@@ -86,7 +91,7 @@ def load(hand: str | Path, *, folder: str | Path | None = None) -> HandModel:
     """Load a hand by name, or from a file.
 
     Args:
-        hand: one of `names`, or a toml file (`HandConfig`).
+        hand: as `config` takes it.
         folder: for hands of the menagerie, the folder that holds their folders. Default: the
             environment variable DEXCTL_MENAGERIE, else the `mujoco-menagerie` package.
 

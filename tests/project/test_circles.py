@@ -12,7 +12,12 @@ ONE_MATTER = [
     # a scene finds its own settled grasp, and the search for it needs nothing but the scene
     {"dexctl.sim.scene", "dexctl.sim.settle"},
     # a hand's configuration builds the hand, which knows it, and is loaded by its name
-    {"dexctl.hand", "dexctl.hand_config", "dexctl.hands.registry"},
+    {
+        "dexctl.hand",
+        "dexctl.hand_config",
+        "dexctl.hands.registry",
+        "dexctl.hands.proposals",  # for a bare file
+    },
 ]
 
 
