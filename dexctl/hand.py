@@ -62,6 +62,9 @@ class HandModel:
         name: the hand's name, for people and files.
         base_rotation: from the description file's world frame into the hand's, which is dexctl's
             world frame, ``(3, 3)``: there the palm looks along z and the fingers point along x.
+        description: the bodies and joints of the file, with the couplings of `config` among its.
+        couplings: the joints above a fingertip that are not among the d, and what each follows in
+            the end.
     """
 
     def __init__(self, description: Description, config: HandConfig) -> None:
@@ -79,6 +82,7 @@ class HandModel:
         for chain, tip in zip(chains, self.fingertip_names, strict=True):
             if all(couplings[joint.name].master is None for _, joint in chain):
                 raise HandModelError(f"{path}: every joint above the fingertip {tip!r} is held")
+        self.couplings = {name: one for name, one in couplings.items() if one.master != name}
         # a master may sit on no finger (a drive): its slaves still need it
         masters = _unique(c.master for c in couplings.values() if c.master is not None)
         if joints is not None and sorted(joints) != sorted(masters):

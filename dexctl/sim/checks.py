@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,6 +11,14 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
 
 GRAVITY = {"up": (0.0, 0.0, -9.81), "down": (0.0, 0.0, 9.81)}
+
+
+def listed(names: Iterable[str], most: int = 6) -> str:
+    """Names for a message: the first few, and how many more."""
+    every = list(names)
+    more = len(every) - most
+    shown = ", ".join(every[:most] if more > 1 else every)
+    return f"{shown} and {more} more" if more > 1 else shown
 
 
 def count(name: str, value: object) -> int:

@@ -18,6 +18,8 @@ from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
 from dexctl.state import Floats
 
 MESH = "mesh"
+OWN = "dexctl "
+"""What begins the names that a scene adds to those of the hand's file."""
 _GOLDEN_RATIO = (1 + 5**0.5) / 2
 
 
@@ -188,9 +190,13 @@ def add_object(
         vertices, faces = _read_mesh(Path(mesh))
         if width:
             vertices = vertices * (width / np.ptp(vertices, axis=0).max())
-        spec.add_mesh(name="object", uservert=vertices.ravel(), userface=faces.ravel())
+        spec.add_mesh(name=OWN + "object", uservert=vertices.ravel(), userface=faces.ravel())
         geom = body.add_geom(
-            name="object", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="object", mass=mass, **common
+            name=OWN + "object",
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=OWN + "object",
+            mass=mass,
+            **common,
         )
         geom.pos = -_centre_of_mass(vertices, faces)
         return
@@ -198,15 +204,15 @@ def add_object(
     total = sum(part.volume for part in parts)
     for i, part in enumerate(parts):
         geom = body.add_geom(
-            name=f"object{i or ''}",
+            name=f"{OWN}object{i or ''}",
             type=part.kind,
             pos=list(part.position),
             mass=mass * part.volume / total,
             **common,
         )
         if part.vertices is not None:
-            spec.add_mesh(name="object", uservert=part.vertices.ravel())
-            geom.meshname = "object"
+            spec.add_mesh(name=OWN + "object", uservert=part.vertices.ravel())
+            geom.meshname = OWN + "object"
         else:
             geom.size[: len(part.size)] = part.size
 

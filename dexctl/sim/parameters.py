@@ -17,12 +17,12 @@ from dexctl.state import Floats
 def _friction(scene: Scene, model: mujoco.MjModel, value: float) -> None:
     # MuJoCo takes the larger coefficient of the two geoms, so the fingertips' is set as well
     tips = [model.body(name).id for name in scene.hand.fingertip_bodies]
-    bodies = [model.body("object").id, *tips]
+    bodies = [model.body(scene.object_body).id, *tips]
     model.geom_friction[np.isin(model.geom_bodyid, bodies), 0] = value
 
 
 def _object_mass(scene: Scene, model: mujoco.MjModel, value: float) -> None:
-    body = model.body("object").id
+    body = model.body(scene.object_body).id
     ratio = value / scene.model.body_mass[body]
     model.body_inertia[body] = scene.model.body_inertia[body] * ratio
     model.body_mass[body] = value

@@ -46,7 +46,7 @@ class PhysicsLayout:
         velocity = self.qvel.start + scene.object_qvel.start
         self.object_velocity = slice(velocity, velocity + 6)
         self.inputs = mujoco.mj_stateSize(model, INPUT)
-        push = model.nu + 6 * model.body("object").id
+        push = model.nu + 6 * model.body(scene.object_body).id
         self.push = slice(push, push + 3)
 
     def state(self, qpos: Floats, qvel: Floats | None = None) -> Floats:

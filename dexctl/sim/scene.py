@@ -15,14 +15,13 @@ from dexctl import hands
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.hand import HandModel
 from dexctl.sim import checks
+from dexctl.sim.hand_spec import hand_spec, lean_model
 from dexctl.sim.objects import MESH, add_object
 from dexctl.sim.tactile import add_sensors
 from dexctl.state import Floats
 
 if TYPE_CHECKING:
     from dexctl.sim.settle import SettledGrasp
-
-TIMESTEP = 0.005
 
 
 class Scene:
@@ -39,6 +38,9 @@ class Scene:
         grasp_centre: where the object is held, ``(3,)`` [m].
         open_q: the open hand, ``(d,)`` [rad].
         grip: normal force that each finger of the settled grasp aims at [N].
+        object_body: name of the object's body and joint in `model`: "object", unless the hand's
+            file has one of that name.
+        notes: what the hand's file lacks for a simulation, and what was done about it.
         model: the MuJoCo model that is stepped: no visual geoms, contact sensors added.
         qpos_columns, qvel_columns: the hand's d joints in ``qpos`` and ``qvel``.
         object_qpos: the object's pose in ``qpos``: position, quaternion wxyz.
@@ -63,6 +65,8 @@ class Scene:
         grasp_centre: Floats,
         open_q: Floats,
         grip: float,
+        object_body: str = "object",
+        notes: tuple[str, ...] = (),
     ) -> None:
         self.hand = hand
         self.object = object
@@ -72,10 +76,10 @@ class Scene:
         self.grasp_centre = grasp_centre
         self.open_q = open_q
         self.grip = grip
+        self.object_body = object_body
+        self.notes = notes
         self._spec = spec
-        lean = spec.copy()  # compiling removes what is discarded from the spec itself
-        lean.compiler.discardvisual = True
-        self.model = _compile(lean, hand)
+        self.model = lean_model(spec, hand)
         self._find_joints()
         self.find_servos()
 
@@ -135,15 +139,12 @@ class Scene:
         else:
             opened = model.clip(checks.vector("open_q", open_q, model.nq))
         mass = checks.positive("object_mass", object_mass)
-        spec = _read_spec(model)
-        spec.option.timestep = TIMESTEP
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        spec.option.impratio = 10
+        spec, notes = hand_spec(model)
         spec.option.gravity = checks.gravity_vector(gravity)
         others = _touchable_bodies(spec, model)
-        body = spec.worldbody.add_body(name="object", pos=centre)
-        body.add_freejoint(name="object")
+        name = _free_name(spec)
+        body = spec.worldbody.add_body(name=name, pos=centre)
+        body.add_freejoint(name=name)
         add_object(
             spec,
             body,
@@ -153,7 +154,8 @@ class Scene:
             friction=_friction(friction),
             mesh=object_mesh,
         )
-        add_sensors(spec, model.fingertip_bodies, others)
+        _meet_everything(spec, body)
+        add_sensors(spec, model.fingertip_bodies, others, name)
         return cls(
             model,
             spec,
@@ -164,6 +166,8 @@ class Scene:
             grasp_centre=centre,
             open_q=opened,
             grip=checks.positive("grip", grip),
+            object_body=name,
+            notes=notes,
         )
 
     @property
@@ -192,7 +196,7 @@ class Scene:
         """
         found = self.model if model is None else model
         tips = [found.body(name).id for name in self.hand.fingertip_bodies]
-        own = np.flatnonzero(found.geom_bodyid == found.body("object").id)[:, None]
+        own = np.flatnonzero(found.geom_bodyid == found.body(self.object_body).id)[:, None]
         other = np.flatnonzero(np.isin(found.geom_bodyid, tips))[None]
         value, priority = found.geom_friction[:, 0], found.geom_priority
         mixed = np.maximum(value[own], value[other])
@@ -205,7 +209,7 @@ class Scene:
         joints = [model.joint(name).id for name in self.hand.joint_names]
         self.qpos_columns = model.jnt_qposadr[joints].copy()
         self.qvel_columns = model.jnt_dofadr[joints].copy()
-        free = model.joint("object")
+        free = model.joint(self.object_body)
         self.object_qpos = slice(int(free.qposadr[0]), int(free.qposadr[0]) + 7)
         self.object_qvel = slice(int(free.dofadr[0]), int(free.dofadr[0]) + 6)
 
@@ -246,24 +250,6 @@ class Scene:
         return f"Scene({self.hand.name!r}, {self.object!r}, gravity={self.gravity.tolist()})"
 
 
-def _compile(spec: mujoco.MjSpec, hand: HandModel) -> mujoco.MjModel:
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise SimulationError(f"{hand.path}: MuJoCo cannot compile the scene: {error}") from None
-
-
-def _read_spec(hand: HandModel) -> mujoco.MjSpec:
-    try:
-        spec = mujoco.MjSpec.from_file(str(hand.path))
-    except ValueError as error:
-        raise SimulationError(f"{hand.path}: MuJoCo cannot read it: {error}") from None
-    spec.compiler.fusestatic = False  # a fingertip may be a body without joints
-    if spec.body("object") is not None:
-        raise SimulationError(f"{hand.path}: it has a body named 'object' already; rename that")
-    return spec
-
-
 def _touchable_bodies(spec: mujoco.MjSpec, hand: HandModel) -> tuple[str, ...]:
     """The bodies with collision geoms, fingertips apart; those without a name are given one."""
     found = []
@@ -277,6 +263,23 @@ def _touchable_bodies(spec: mujoco.MjSpec, hand: HandModel) -> tuple[str, ...]:
     if any(geom.contype or geom.conaffinity for geom in spec.worldbody.geoms):
         found.append("world")
     return tuple(found)
+
+
+def _free_name(spec: mujoco.MjSpec) -> str:
+    """A name for the object that no body and no joint of the hand's file has."""
+    name = "object"
+    while spec.body(name) is not None or spec.joint(name) is not None:
+        name = f"held_{name}"
+    return name
+
+
+def _meet_everything(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+    """Let the object collide with every collision geom, whatever bits the hand's file uses."""
+    bits = 1
+    for geom in spec.geoms:
+        bits |= int(geom.contype) | int(geom.conaffinity)
+    for geom in body.geoms:
+        geom.contype = geom.conaffinity = bits
 
 
 def _friction(friction: float | ArrayLike) -> tuple[float, float, float]:

@@ -86,8 +86,8 @@ class _HeldObject:
         self.hand = scene.hand
         spec = scene.spec
         spec.compiler.discardvisual = True
-        spec.delete(spec.joint("object"))
-        body = spec.body("object")
+        spec.delete(spec.joint(scene.object_body))
+        body = spec.body(scene.object_body)
         body.quat = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
         self.pose = np.concatenate([scene.grasp_centre, body.quat])
         self.model = spec.compile()
@@ -96,7 +96,7 @@ class _HeldObject:
         self.qpos_columns = self.model.jnt_qposadr[joints]
         self.qvel_columns = self.model.jnt_dofadr[joints]
         self.sensors = TouchSensors(self.model, self.hand.n_fingers)
-        body_id = self.model.body("object").id
+        body_id = self.model.body(scene.object_body).id
         self.object_geoms = np.flatnonzero(self.model.geom_bodyid == body_id)
         solid = (self.model.geom_contype | self.model.geom_conaffinity) != 0
         self.tip_geoms = [

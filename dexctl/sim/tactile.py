@@ -45,8 +45,10 @@ class TouchReading(NamedTuple):
         return TouchReading(*found)
 
 
-def add_sensors(spec: mujoco.MjSpec, fingertips: tuple[str, ...], others: tuple[str, ...]) -> None:
-    """Add a contact sensor from each body named to the body "object".
+def add_sensors(
+    spec: mujoco.MjSpec, fingertips: tuple[str, ...], others: tuple[str, ...], held: str
+) -> None:
+    """Add a contact sensor from each body named to the body `held`.
 
     The data of `fingertips` keep each contact apart; of `others`, one net force per body, so that
     two bodies squeezing the object do not cancel out.
@@ -60,7 +62,7 @@ def add_sensors(spec: mujoco.MjSpec, fingertips: tuple[str, ...], others: tuple[
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             objname=body,
             reftype=mujoco.mjtObj.mjOBJ_BODY,
-            refname="object",
+            refname=held,
             intprm=[bits, reduce, slots],
         )
 

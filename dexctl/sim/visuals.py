@@ -5,10 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from dexctl.sim.objects import OWN
 from dexctl.sim.scene import Scene
 from dexctl.state import Bools, Floats
 
-CAMERA = "overview"
+CAMERA = OWN + "overview"
 _IDLE = np.array([0.80, 0.82, 0.85, 1.0], np.float32)
 _TOUCHING = np.array([1.00, 0.42, 0.10, 1.0], np.float32)
 _AZIMUTH, _ELEVATION = np.deg2rad(-52.0), np.deg2rad(27.0)
@@ -37,12 +38,12 @@ def visual_model(scene: Scene) -> mujoco.MjModel:
     _textures(spec)
     world = spec.worldbody
     world.add_geom(
-        name="floor",
+        name=OWN + "floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 0.05],
         pos=centre - 0.62 * extent * up,
         quat=_quaternion(frame),
-        material="floor",
+        material=OWN + "floor",
         contype=0,
         conaffinity=0,
         mass=0,
@@ -59,8 +60,8 @@ def visual_model(scene: Scene) -> mujoco.MjModel:
             specular=[0.2 * shadow] * 3,
             castshadow=shadow,
         )
-    for geom in spec.body("object").geoms:
-        geom.material = "object"
+    for geom in spec.body(scene.object_body).geoms:
+        geom.material = OWN + "object"
         geom.rgba = [1.0, 1.0, 1.0, 1.0]  # it tints the material
     _add_camera(world, centre, extent, frame)
     return spec.compile()
@@ -93,7 +94,7 @@ def _quaternion(rotation: Floats) -> Floats:
 
 def _textures(spec: mujoco.MjSpec) -> None:
     spec.add_texture(
-        name="sky",
+        name=OWN + "sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=[0.80, 0.85, 0.90],
@@ -102,7 +103,7 @@ def _textures(spec: mujoco.MjSpec) -> None:
         height=1536,
     )
     spec.add_texture(
-        name="floor",
+        name=OWN + "floor",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         rgb1=[0.58, 0.61, 0.65],
@@ -112,7 +113,7 @@ def _textures(spec: mujoco.MjSpec) -> None:
     )
     # a two-colour pattern makes turning visible, on a sphere too
     spec.add_texture(
-        name="object",
+        name=OWN + "object",
         type=mujoco.mjtTexture.mjTEXTURE_CUBE,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         mark=mujoco.mjtMark.mjMARK_EDGE,
@@ -127,9 +128,9 @@ def _textures(spec: mujoco.MjSpec) -> None:
         ("object", 1.0, 0.0, 0.4),
     ):
         material = spec.add_material(
-            name=name, reflectance=reflectance, specular=specular, shininess=0.5
+            name=OWN + name, reflectance=reflectance, specular=specular, shininess=0.5
         )
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = OWN + name
         material.texrepeat = [repeat, repeat]
         material.texuniform = name == "floor"
 

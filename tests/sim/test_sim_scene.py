@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,17 +13,6 @@ import pytest
 from dexctl import HandModel, hands
 from dexctl.exceptions import HandModelError, InvalidInput, SimulationError, UnknownName
 from dexctl.sim import Scene, object_names
-
-
-def write_box_stl(path: Path, size: tuple[float, float, float], corner: float) -> None:
-    """A binary STL of a box with one corner at (corner, corner, corner)."""
-    unit = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
-    vertices = unit * size + corner
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    record = np.zeros(len(triangles), [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
-    record["v"] = vertices[np.array(triangles)]
-    path.write_bytes(b"\0" * 80 + np.uint32(len(triangles)).tobytes() + record.tobytes())
 
 
 @pytest.mark.parametrize("gravity", ["up", "down"])
@@ -85,9 +75,11 @@ def test_friction_is_that_of_object_and_fingertips() -> None:
     assert slippery.friction() == 0.3
 
 
-def test_a_mesh_of_the_users(tmp_path: Path) -> None:
+def test_a_mesh_of_the_users(
+    tmp_path: Path, box_stl: Callable[[Path, tuple[float, float, float], float], None]
+) -> None:
     path = tmp_path / "box.stl"
-    write_box_stl(path, (0.2, 0.2, 0.1), corner=0.7)
+    box_stl(path, (0.2, 0.2, 0.1), 0.7)
     own = Scene.build("dex5", "mesh", object_mesh=path)
     np.testing.assert_allclose(own.model.body("object").ipos, 0.0, atol=1e-6)
     scene = Scene.build("dex5", "mesh", object_mesh=path, object_size=0.1)
@@ -143,13 +135,13 @@ def test_an_unknown_hand_needs_to_say_what_it_holds(tmp_path: Path, dex5: HandMo
     np.testing.assert_array_equal(scene.settled.qpos, Scene.build("dex5", "cube").settled.qpos)
 
 
-def test_a_joint_without_servo_is_named(tmp_path: Path, dex5: HandModel) -> None:
+def test_a_joint_without_servo_gets_one(tmp_path: Path, dex5: HandModel) -> None:
     path = tmp_path / "dex5.xml"
     lines = dex5.path.read_text().splitlines()
     path.write_text("\n".join(line for line in lines if 'joint="f2_roll"' not in line))
-    hand = replace(dex5.config, description=path).build()
-    with pytest.raises(SimulationError, match="no position actuator drives f2_roll;"):
-        Scene.build(hand, "cube")
+    scene = Scene.build(replace(dex5.config, description=path).build(), "cube")
+    assert any(note.startswith("position servos added to 1 of 15 joints") for note in scene.notes)
+    assert scene.stiffness[scene.hand.joint_names.index("f2_roll")] > 0
 
 
 def test_servo_maps_follow_gear(tmp_path: Path, dex5: HandModel) -> None:
