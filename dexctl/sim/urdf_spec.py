@@ -67,6 +67,7 @@ class _Reader:
         }
         self.used = {*hand.joint_names, *hand.couplings}
         self.spec = mujoco.MjSpec()
+        self.spec.compiler.degree = False
         self.spec.modelname = root.get("name", "hand")
         self._mesh_of: dict[tuple[str, str], str | None] = {}
         self._unread: list[str] = []

@@ -108,6 +108,8 @@ def test_urdf_tips_agree_with_kinematics_and_followers_follow(urdf_hand: Hands) 
     assert any("position servos added to 10 of 10 joints" in note for note in notes)
     model = lean_model(spec, hand)
     data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in hand.joint_names]
+    np.testing.assert_allclose([j.range for j in joints], np.transpose([hand.lower, hand.upper]))
     model.opt.gravity[:] = 0
     for name in hand.joint_names:
         data.actuator(f"servo {name}").ctrl = 0.5
@@ -209,20 +211,19 @@ def test_a_velocity_servo_beside_a_position_servo_stays_as_damping(changed_dex5:
     assert model.actuator_biasprm[roll, 2] == pytest.approx(-0.15 - 0.2 * 4)
 
 
-def tendon_hand(changed_dex5: Hands, actuator: str, coupled: bool) -> HandModel:
+def tendon_hand(changed_dex5: Hands, actuator: str, other: str = "", **config: object) -> HandModel:
     """dex5 whose first finger flexes by one tendon, as Shadow's J0 does."""
     tendon = (
         '<tendon><fixed name="f1_J0" limited="true" range="-0.9 0.9">'
         '<joint joint="f1_flexion1" coef="1"/><joint joint="f1_flexion2" coef="-0.5"/>'
         "</fixed></tendon>"
     )
-    couplings = {"f1_flexion2": Coupling(joint="f1_flexion1", scale=-1.0, offset=0.2)}
     return changed_dex5(
         ("<actuator>", tendon + "<actuator>"),
-        ('<position name="f1_flexion1" joint="f1_flexion1" class="dex5_flexion1"/>', ""),
-        ('<position name="f1_flexion2" joint="f1_flexion2" class="dex5_flexion2"/>', actuator),
+        ('<position name="f1_flexion1" class="dex5" joint="f1_flexion1"/>', other),
+        ('<position name="f1_flexion2" class="dex5" joint="f1_flexion2"/>', actuator),
         postures=PostureConfig(),
-        couplings=couplings if coupled else {},
+        **config,
     )
 
 
@@ -233,7 +234,8 @@ def test_an_actuator_on_a_tendon_drives_the_joint_that_its_joints_follow(
         '<position name="J0" tendon="f1_J0" kp="2" kv="0.3" gear="1.2" forcerange="-0.4 0.4" '
         'ctrlrange="-0.5 1.2" ctrllimited="true"/>'
     )
-    hand = tendon_hand(changed_dex5, actuator, coupled=True)
+    coupling = {"f1_flexion2": Coupling(joint="f1_flexion1", scale=-1.0, offset=0.2)}
+    hand = tendon_hand(changed_dex5, actuator, couplings=coupling)
     assert "f1_flexion2" in hand.couplings
     scene = Scene.build(hand, object_size=0.1)
     j = hand.joint_names.index("f1_flexion1")
@@ -257,7 +259,8 @@ def test_an_actuator_on_a_tendon_drives_the_joint_that_its_joints_follow(
 
 
 def test_a_tendon_over_joints_that_nothing_couples_says_what_to_write(changed_dex5: Hands) -> None:
-    hand = tendon_hand(changed_dex5, '<position name="J0" tendon="f1_J0" kp="2"/>', coupled=False)
+    actuator, other = '<position name="J0" tendon="f1_J0" kp="2"/>', '<motor joint="f1_flexion1"/>'
+    hand = tendon_hand(changed_dex5, actuator, other)
     with pytest.raises(SimulationError, match=r"'J0' drives f1_flexion1 and f1_flexion2 together"):
         Scene.build(hand)
     own = replace(hand.config, servos=ServoConfig(stiffness=3.0)).build()
@@ -295,7 +298,7 @@ def test_what_belongs_to_another_simulation_is_left_out(changed_dex5: Hands) -> 
 
 
 def test_a_link_that_is_called_object_keeps_its_name(changed_dex5: Hands) -> None:
-    hand = changed_dex5(('name="f2_proximal"', 'name="object"'))
+    hand = changed_dex5(('"f2_proximal"', '"object"'))
     scene = Scene.build(hand)
     assert scene.object_body == "held_object"
     assert visual_model(scene).body("held_object").id != scene.model.body("object").id
@@ -357,8 +360,8 @@ def test_inertias_that_no_body_has_are_mended_within_a_bound(urdf_hand: Hands) -
     np.testing.assert_allclose(found, [2.5e-5, 3.5e-5, 6e-5], rtol=1e-6)
     with pytest.raises(SimulationError, match="link 'f1_base' has the principal moments"):
         scene_of(inertial(1e-6, 1e-6, 6e-5))
-    with pytest.raises(SimulationError, match="'inf' in a <mass>; expected 1 finite"):
-        scene_of(inertial(2e-5, 3e-5, 4e-5).replace("0.03", "inf"))
+    with pytest.raises(SimulationError, match="'inf' in a <inertia>; expected 1 finite"):
+        scene_of(inertial(2e-5, 3e-5, np.inf))
 
 
 def test_friction_and_damping_that_no_servo_overcomes_are_left_out(urdf_hand: Hands) -> None:
@@ -434,12 +437,14 @@ def test_a_hand_on_a_wrist(changed_dex5: Hands) -> None:
 
 def test_leap_made_for_gpu_physics_holds(leap_mjx: HandModel) -> None:
     """Its file says iterations="5" ls_iterations="8", with which the object is thrown out."""
-    scene = Scene.build(leap_mjx, "cube", object_size=0.07, grasp_centre=(0.09, 0.0, 0.09))
+    scene = Scene.build(leap_mjx, "cube", object_size=0.07, grasp_centre=(0.1, 0.0, 0.08))
     plant = BatchSimulator(scene, 16, seed=0)
     for _ in range(100):
         plant.step()
-    moved = np.linalg.norm(plant.read().object_position - plant.start_position, axis=1)
-    assert (moved < 0.03).all()
+    position = plant.read().object_position
+    assert position is not None
+    moved = np.linalg.norm(position - plant.start_position, axis=1)
+    assert (moved < 0.03).all()  # it sinks by 17 to 22 mm
 
 
 def test_leap_urdf_has_its_fingertips_where_kinematics_says(leap_urdf: HandModel) -> None:
