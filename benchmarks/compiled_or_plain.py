@@ -37,17 +37,17 @@ TWICE = {
     },
     "the stability QP for one hand, on lists": {
         "grasp/stability.py": ("_solve_one",),
-        "grasp/stability_solver.py": ("solve_stability", "_with_one_held"),
-        "grasp/box_qp.py": ("solve_box",),
+        "grasp/stability_solver.py": ("solve_stability", "_objective"),
+        "grasp/box_qp.py": ("solve_box", "_solve_free"),
     },
     "the stability QP for a batch, in numpy": {
-        "grasp/stability_solver.py": ("solve_stability_batch", "_bracket"),
+        "grasp/stability_solver.py": (
+            "solve_stability_batch", "_bracket", "_bounds", "_scaled_inverse",
+        ),
     },
     "used by the QP without regulariser too": {
-        "grasp/stability_solver.py": (
-            "solve_lexicographic_batch", "_scaled_inverse", "_bounds", "_hold_at_one", "_polish",
-        ),
-        "grasp/box_qp.py": ("BoxBatch", "_pivot"),
+        "grasp/stability_solver.py": ("problems", "by_elimination", "held_at_one"),
+        "grasp/box_qp.py": ("solve_box_batch",),
     },
 }  # fmt: skip
 START = """

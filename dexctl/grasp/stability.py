@@ -15,17 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
 from dexctl.grasp.contacts import NORMAL_TOLERANCE, Contacts, check_contacts, cross
-from dexctl.grasp.stability_solver import (
-    solve_lexicographic_batch,
-    solve_stability,
-    solve_stability_batch,
-)
+from dexctl.grasp.stability_exact import solve_exact_batch
+from dexctl.grasp.stability_solver import solve_stability, solve_stability_batch
 from dexctl.state import Bools, Floats
 
 MIN_LENGTH = 1e-3
 """Floor of the default length [m]: one contact with the centroid as origin has distance 0."""
 MIN_REGULARISER = 1e-6
 """Smallest regulariser beside 0; below it round-off shows in the forces."""
+MAX_CONDITION = 1e9
+"""Squared length of a unit wrench, over the regulariser, above which W'W does not do."""
 
 
 class StabilitySolution(NamedTuple):
@@ -60,9 +59,12 @@ def stability_forces(
 
     Minimises ||W c||^2 + regulariser * sum (1 - c_i)^2 over min_force <= c_i <= 1 with some
     c_j = 1; W holds the unit wrenches of the normals, torques about ``origin`` divided by
-    ``length``. With regulariser 0: the least residual (to 1e-8), among those the least
-    sum (1 - c_i)^2, among those the lowest j. The answer is exact, a pure function of its
-    arguments, and the same for one hand and for each hand of a batch.
+    ``length``. With regulariser 0: the least residual (to 1e-8 of the longest unit wrench), among
+    those the least sum (1 - c_i)^2. Objectives that differ by less than 1e-11 of the largest
+    squared unit wrench (without a regulariser: residuals by 4e-9, sums by 1e-7) are equal, and of
+    equal ones the lowest j is taken: so fingers at one contact change nothing. The answer is a pure
+    function of its arguments, and the same for one hand and for each hand of a batch: ``held`` too,
+    the numbers to 1e-8.
 
     Args:
         contact_position: ``(..., m, 3)`` [m], world frame.
@@ -117,11 +119,11 @@ def stability_forces(
     lower = np.minimum(upper, np.where(active, min_force, 0.0))
     if m == 0 or count == 0:
         forces, held = np.zeros((m, count)), np.full(count, -1)
-    elif regulariser:
+    elif regulariser and (wrenches * wrenches).sum(axis=0).max() < MAX_CONDITION * regulariser:
         gram = (wrenches[:, :, None] * wrenches[:, None]).sum(axis=0)
         forces, held = solve_stability_batch(gram, lower, upper, regulariser, active)
     else:
-        forces, held = solve_lexicographic_batch(wrenches, lower, upper, active)
+        forces, held = solve_exact_batch(wrenches, lower, upper, regulariser, active)
     left = (wrenches * forces).sum(axis=1)
     return StabilitySolution(
         np.ascontiguousarray(forces.T).reshape(shape),
@@ -214,6 +216,8 @@ def _solve_one(
     wrenches[:, 3:] *= 1.0 / scale
     hessian = wrenches @ wrenches.T
     hessian.ravel()[:: len(touching) + 1] += regulariser
+    if hessian.max() >= MAX_CONDITION * regulariser:
+        return None
     upper = [limits[i] for i in touching]
     lower = [min(min_force, u) for u in upper]
     values, held = solve_stability(hessian, lower, upper, regulariser)

@@ -4,11 +4,14 @@ The problem, for k contacts with unit wrenches W (6 x k):
 
     minimise ||W c||^2 + rho ||1 - c||^2   subject to   lower <= c <= upper,   some c_j = 1.
 
-It is k convex problems, one for each j, of which the best is kept. Without its bounds, problem
-j has a closed form in M = (W'W + rho I)^-1, and what it reaches bounds from below what problem
-j can reach with them. So problems are taken best bound first; the first whose closed form is
-within its bounds ends the search, and a problem whose bound is above the best found is never
-solved. Objectives in here are divided by rho, and counted from the unconstrained minimum.
+It is k convex problems, one for each j, of which the best is kept; of equal ones the lowest j.
+Without its bounds, problem j has a closed form in M = (W'W + rho I)^-1, and what it reaches bounds
+from below what problem j can reach with them. A problem whose bound is above what another one
+reaches is not solved.
+
+Closed forms choose what to solve, and no more than that: they lose digits where contacts are
+nearly the same, so they are compared with room for it. Which problem is best is decided by the
+objective of the forces themselves.
 """
 
 from __future__ import annotations
@@ -21,16 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from dexctl.grasp.box_qp import TOLERANCE, BoxBatch, solve_box
+from dexctl.grasp.box_qp import TOLERANCE, FreeSolver, solve_box, solve_box_batch
 from dexctl.state import Bools, Floats
 
 Indices = NDArray[np.intp]
 
-TIE = 1e-9  # objectives (over rho) this close count as equal; then the lowest j wins
-_PENALTY = 1e-7  # regulariser of each step of the method of multipliers
-_MAX_MULTIPLIER_STEPS = 100
-_RESIDUAL_TIE, _SPREAD_TIE = 1e-8, 1e-7
-_RANK = 1e-7  # singular values below this share of the largest count as zero
+TIE = 1e-11  # objectives this close, over the largest squared wrench, are equal: the lowest j wins
+LOST = 4e-15  # relative error of closed forms, times k^2 and the condition of W'W + rho I
+DUAL = 1e-15  # multipliers' round-off, over the largest squared wrench
 
 
 @cache
@@ -48,7 +49,7 @@ def solve_stability(
         lower: k floats, 0 <= lower <= upper.
         upper: k floats, at most 1; j is a candidate for the contact held at one where upper[j]
             is 1.
-        regulariser: rho > 0; below 1e-6 round-off shows.
+        regulariser: rho > 0, at least 1e-11 of the largest entry of the Hessian.
 
     Returns:
         The k forces, and j; -1 where no upper bound is 1 (then only the bounds hold).
@@ -57,15 +58,22 @@ def solve_stability(
     inverse: list[list[float]] = lapack.dposv(hessian, _identity(k))[1].tolist()  # type: ignore[attr-defined]
     table = [[regulariser * a for a in row] for row in inverse]
     free = [sum(row) for row in table]
+    base = k - sum(free)  # the objective without any bounds; objectives in here are over rho
     candidates = sorted(
-        [((1.0 - free[j]) ** 2 / table[j][j], j) for j in range(k) if upper[j] == 1.0]
+        [(base + (1.0 - free[j]) ** 2 / table[j][j], j) for j in range(k) if upper[j] == 1.0]
     )
+    rows: list[list[float]] = hessian.tolist()
+    size = max([row[i] for i, row in enumerate(rows)])
+    dual = TOLERANCE * regulariser + DUAL * size
     if not candidates:
-        return solve_box(table, free, list(lower), list(upper))[0], -1
-    trials = []
+        return solve_box(rows, regulariser, lower, upper, free, dual)[0], -1
+    # room for what round-off does to closed forms, and for what counts as equal
+    lost = LOST * k * k * size / regulariser
+    tie = TIE * size / regulariser
     roof = inf
+    trials = []
     for bound, j in candidates:
-        if bound > roof + TIE:
+        if bound > roof + tie + lost * (1.0 + roof):
             break
         row = table[j]
         scale = 1.0 / row[j]
@@ -79,50 +87,42 @@ def solve_stability(
             over = c - upper[i] if c > upper[i] else lower[i] - c
             if over > TOLERANCE:
                 a = row[i]
-                over *= over / (table[i][i] - a * a * scale)
+                over *= over / (table[i][i] - a * a * scale + lost)
                 if over > toll:
                     toll = over
-        trials.append((bound + toll, j, bound, trial))
+        trials.append((bound + toll, j, trial, toll > 0.0))
         if not toll:  # within the bounds: no later candidate does better
             roof = min(roof, bound)
-    best, forces, held = inf, free, -1
-    for lowest, j, bound, trial in sorted(trials):
-        if lowest >= best - TIE and (j > held or lowest > best + TIE):
-            continue
-        value = bound
-        if lowest > bound:
-            trial, rise = _with_one_held(table, trial, j, lower, upper, best + TIE - bound)
-            value += rise
-        if value < best - TIE or (j < held and value <= best + TIE):
-            best, forces, held = min(value, best), trial, j
-    return [min(max(c, a), b) for c, a, b in zip(forces, lower, upper, strict=True)], held
+    if len(trials) == 1 and not trials[0][3]:
+        _, held, forces, _ = trials[0]
+        return [min(max(c, a), b) for c, a, b in zip(forces, lower, upper, strict=True)], held
+    best, found = inf, []
+    for lowest, j, trial, broken in sorted(trials):
+        if lowest > best + tie + lost * (1.0 + lowest):
+            break
+        if broken:
+            least, most = list(lower), list(upper)
+            least[j] = most[j] = 1.0
+            roof = best + tie + lost * (1.0 + best) - k
+            trial, value = solve_box(
+                rows, regulariser, least, most, trial, dual, regulariser * roof
+            )
+            if value > regulariser * roof:
+                continue
+        forces = [min(max(c, a), b) for c, a, b in zip(trial, lower, upper, strict=True)]
+        value = _objective(rows, forces, regulariser)
+        best = min(best, value)
+        found.append((j, value, forces))
+    return next((forces, j) for j, value, forces in sorted(found) if value <= best + tie)
 
 
-def _with_one_held(
-    table: list[list[float]],
-    start: list[float],
-    j: int,
-    lower: Sequence[float],
-    upper: Sequence[float],
-    roof: float,
-) -> tuple[list[float], float]:
-    """The box QP with c_j = 1, from its solution without bounds."""
-    others = [i for i in range(len(start)) if i != j]
-    row = table[j]
-    scale = 1.0 / row[j]
-    reduced = []
-    for i in others:
-        whole, f = table[i], row[i] * scale
-        reduced.append([whole[m] - f * row[m] for m in others])
-    solution, rise = solve_box(
-        reduced,
-        [start[i] for i in others],
-        [lower[i] for i in others],
-        [upper[i] for i in others],
-        roof,
-    )
-    solution.insert(j, 1.0)
-    return solution, rise
+def _objective(hessian: list[list[float]], forces: list[float], regulariser: float) -> float:
+    """The objective over rho."""
+    total = 0.0
+    for row, c in zip(hessian, forces, strict=True):
+        if c:
+            total += c * sum([a * b for a, b in zip(row, forces, strict=True)])
+    return total / regulariser - 2.0 * sum(forces) + len(forces)
 
 
 def solve_stability_batch(
@@ -134,116 +134,104 @@ def solve_stability_batch(
         gram: W'W, ``(m, m, n)``; rows and columns of fingers out of contact are zero.
         lower: ``(m, n)``, 0 <= lower <= upper; zero for fingers out of contact.
         upper: ``(m, n)``, at most 1; zero for fingers out of contact.
-        regulariser: rho > 0.
+        regulariser: rho > 0, at least 1e-11 of the largest entry of the Hessian.
         active: ``(m, n)``, which fingers are in contact.
 
     Returns:
         Forces ``(m, n)`` and the contact held at one ``(n,)``, -1 where no upper bound is 1.
     """
-    n = lower.shape[1]
-    everyone = np.arange(n)
+    m, n = lower.shape
     table = _scaled_inverse(gram, regulariser, active)
     free = table.sum(axis=1)
-    bound, step = _bounds(table, free, (upper == 1.0) & active)
+    candidate = (upper == 1.0) & active
+    bound, step = _bounds(table, free, candidate)
+    bound += active.sum(axis=0) - free.sum(axis=0)  # the objective without any bounds, over rho
     lowest = bound.min(axis=0)
-    held = (bound <= lowest + TIE).argmax(axis=0)
-    forces = table[:, held, everyone]
-    forces *= step[held, everyone]
+    held = bound.argmin(axis=0)
+    # in units of rho: room for what round-off does to closed forms, and for what counts as equal
+    size = (np.einsum("iin->in", gram).max(axis=0) + regulariser) / regulariser
+    lost, tie = LOST * m * m * size, TIE * size
+    room = tie + lost * (1.0 + np.where(np.isfinite(lowest), lowest, 0.0))
+    alone = np.isinf(lowest)
+    several = (bound <= lowest + room).sum(axis=0) > 1
+    forces = table[:, held, np.arange(n)]
+    forces *= step[held, np.arange(n)]
     forces += free
     clipped = np.minimum(np.maximum(forces, lower), upper)
-    forces -= clipped
-    alone = np.flatnonzero(np.isinf(lowest))
-    if alone.size:  # no contact may be held at one: the bounds alone
-        box = BoxBatch(table[:, :, alone], free[:, alone], lower[:, alone], upper[:, alone])
-        box.solve()
-        clipped[:, alone] = box.solution()
-        held[alone] = -1
-    hard = np.flatnonzero((np.abs(forces) > TOLERANCE).any(axis=0) & np.isfinite(lowest))
+    held[alone] = -1
+    hard = np.flatnonzero((np.abs(forces - clipped) > TOLERANCE).any(axis=0) | several | alone)
     if not hard.size:
         return clipped, held
-    lowest, roof = _bracket(
-        gram[:, :, hard] / regulariser,
-        table[:, :, hard],
-        free[:, hard],
-        bound[:, hard],
-        step[:, hard],
-        lower[:, hard],
-        upper[:, hard],
+    table, free, bound, step = table[:, :, hard], free[:, hard], bound[:, hard], step[:, hard]
+    lower, upper, gram, active = lower[:, hard], upper[:, hard], gram[:, :, hard], active[:, hard]
+    trial = table * step
+    trial += free[:, None]  # (i, j, n): force i where j is held at one
+    least, most = _bracket(gram / regulariser, table, trial, bound, lower, upper, lost[hard])
+    alone = np.flatnonzero(alone[hard])
+    most = np.maximum(most, least.min(axis=0))  # the lowest of them is always solved
+    most[alone] = -1.0
+    which, column = np.nonzero(least <= most + tie[hard] + lost[hard] * (1.0 + most))
+    start = np.concatenate([trial[:, which, column], free[:, alone]], axis=1).T
+    which = np.concatenate([which, np.full(alone.size, -1)])
+    column = np.concatenate([column, alone])
+    low, high = held_at_one(lower, upper, which, column)
+    grams = np.ascontiguousarray(np.moveaxis(gram, -1, 0))
+    rho = np.full(hard.size, regulariser)
+    roof = most + tie[hard] + lost[hard] * (1.0 + most) - active.sum(axis=0)
+    roof[alone] = np.inf
+    solutions, _ = solve_box_batch(
+        by_elimination(grams + regulariser * np.eye(m), rho, column),
+        np.where((low == high) & (start == high), np.int8(1), np.int8(0)),
+        low,
+        high,
+        rho[column],
+        regulariser * (TOLERANCE + DUAL * size[hard])[column],
+        start,
+        regulariser * roof[column],
     )
-    which, column = np.nonzero(lowest <= roof + TIE)
-    where = hard[column]
-    box = _hold_at_one(table, free, bound, step, lower, upper, which, where)
-    box.solve(roof[column] + TIE)
-    solutions = box.solution()
-    value = np.full((len(lower), n), np.inf)
-    value[which, where] = box.rise
-    value = value[:, hard]
-    best = (value <= value.min(axis=0) + TIE).argmax(axis=0)
-    place = np.full(value.shape, -1)
-    place[which, column] = np.arange(len(which))
-    held[hard] = best
-    clipped[:, hard] = solutions[:, place[best, np.arange(hard.size)]]
+    spread = np.where(active.T[column], 1.0 - solutions, 0.0)
+    effort = (solutions[:, None] @ grams[column] @ solutions[..., None])[:, 0, 0]
+    value = np.full((m + 1, hard.size), np.inf)  # row -1, the last, is "no candidate"
+    value[which, column] = effort / regulariser + (spread * spread).sum(axis=1)
+    best = (value <= value.min(axis=0) + tie[hard]).argmax(axis=0)
+    place = np.zeros(value.shape, np.intp)
+    place[which, column] = np.arange(which.size)
+    clipped[:, hard] = solutions[place[best, np.arange(hard.size)]].T
+    held[hard] = np.where(best == m, -1, best)
     return clipped, held
 
 
-def solve_lexicographic_batch(
-    wrenches: Floats, lower: Floats, upper: Floats, active: Bools
-) -> tuple[Floats, Indices]:
-    """The stability QPs as rho goes to zero: least residual, then least ||1 - c||, lowest j.
+def problems(candidate: Bools) -> tuple[Indices, Indices]:
+    """Every problem "c_j = 1": j and its hand ``(p,)``; -1 for hands without a candidate."""
+    which, column = np.nonzero(candidate)
+    alone = np.flatnonzero(~candidate.any(axis=0))
+    return np.append(which, np.full(alone.size, -1)), np.append(column, alone)
 
-    The method of multipliers on "minimise ||1 - c||^2 subject to W c = 0": where no c reaches
-    zero, its iterates still converge, to the answer for the closest W c that can be reached
-    (Chiche and Gilbert, "How the augmented Lagrangian algorithm can deal with an infeasible
-    convex quadratic optimization problem", 2016), which is the definition wanted. The set of
-    forces at their bounds then gives the answer to full accuracy.
 
-    Args:
-        wrenches: W, ``(6, m, n)``, zero columns for fingers out of contact.
-        lower: see :func:`solve_stability_batch`.
-        upper: see :func:`solve_stability_batch`.
-        active: ``(m, n)``, which fingers are in contact.
-    """
-    m, n = lower.shape
-    gram = np.einsum("aim,ajm->ijm", wrenches, wrenches)
-    table = _scaled_inverse(gram, _PENALTY, active)
-    free = table.sum(axis=1)
-    bound, step = _bounds(table, free, (upper == 1.0) & active)
-    which, where = np.nonzero(np.isfinite(bound))
-    alone = np.flatnonzero(np.isinf(bound).all(axis=0))
-    # One problem for each candidate j, then those of hands that have no candidate.
-    box = _hold_at_one(table, free, bound, step, lower, upper, which, where)
-    which = np.concatenate([which, np.full(alone.size, -1)])
-    where = np.concatenate([where, alone])
-    box = BoxBatch(
-        np.concatenate([box.table, table[:, :, alone]], axis=-1),
-        np.concatenate([box.y, free[:, alone]], axis=-1),
-        np.concatenate([box.lower, lower[:, alone]], axis=-1),
-        np.concatenate([box.upper, upper[:, alone]], axis=-1),
-    )
-    grams = gram[:, :, where]
-    forces = np.full((m, where.size), np.inf)
-    for _ in range(_MAX_MULTIPLIER_STEPS):
-        box.solve(keep_table=True)
-        previous, forces = forces, box.solution()
-        if not np.abs(forces - previous).max(initial=0.0) > 1e-12:
-            break
-        box.shift(np.einsum("ijn,jn->in", grams, forces) / -_PENALTY)
-    residual = np.sqrt((np.einsum("ajn,jn->an", wrenches[:, :, where], forces) ** 2).sum(axis=0))
-    spread = (np.where(active[:, where], 1.0 - forces, 0.0) ** 2).sum(axis=0)
+def by_elimination(hessians: Floats, regularisers: Floats, column: Indices) -> FreeSolver:
+    """Solves for free variables from the Hessians W'W + rho I ``(n, m, m)`` of hands."""
+    identity = np.eye(hessians.shape[-1])
 
-    place = np.full((m + 1, n), -1)
-    place[which, where] = np.arange(where.size)  # row -1, the last, is "no candidate"
-    found = place >= 0
-    residuals = np.where(found, residual[place], np.inf)
-    tied = residuals <= residuals.min(axis=0) + _RESIDUAL_TIE
-    spreads = np.where(tied, spread[place], np.inf)
-    best = (spreads <= spreads.min(axis=0) + _SPREAD_TIE).argmax(axis=0)
-    chosen = place[best, np.arange(n)]
-    movable = (box.at == 0) & (box.upper > box.lower)
-    return (
-        _polish(wrenches, forces[:, chosen], movable[:, chosen], lower, upper),
-        np.where(best == m, -1, best),
-    )
+    def solve(rows: Indices, free: Bools, at_bounds: Floats) -> Floats:
+        hands = column[rows]
+        hessian = hessians[hands]
+        gradient = (hessian @ at_bounds[..., None])[..., 0] - regularisers[hands, None]
+        reduced = np.where(free[:, :, None] & free[:, None, :], hessian, identity)
+        change = np.linalg.solve(reduced, np.where(free, -gradient, 0.0)[..., None])
+        gradient += (hessian @ change)[..., 0]
+        return np.where(free, change[..., 0], gradient)
+
+    return solve
+
+
+def held_at_one(
+    lower: Floats, upper: Floats, which: Indices, column: Indices
+) -> tuple[Floats, Floats]:
+    """Bounds ``(p, m)`` of problems "c_j = 1" of hands ``column``; j is -1 for none."""
+    low, high = lower[:, column].T.copy(), upper[:, column].T.copy()
+    held = np.flatnonzero(which >= 0)
+    low[held, which[held]] = high[held, which[held]] = 1.0
+    return low, high
 
 
 def _scaled_inverse(gram: Floats, regulariser: float, active: Bools) -> Floats:
@@ -278,11 +266,11 @@ def _bounds(table: Floats, free: Floats, candidate: Bools) -> tuple[Floats, Floa
 def _bracket(
     gram: Floats,
     table: Floats,
-    free: Floats,
+    trial: Floats,
     bound: Floats,
-    step: Floats,
     lower: Floats,
     upper: Floats,
+    lost: Floats,
 ) -> tuple[Floats, Floats]:
     """Lower bounds of every problem "c_j = 1", ``(m, n)``, and an upper bound of the best.
 
@@ -290,59 +278,13 @@ def _bracket(
     alone adds. Above: the least that clipping into the bounds costs, for any j.
     """
     diagonal = np.einsum("iin->in", table)
-    trial = table * step
-    trial += free[:, None]
     excess = trial - np.minimum(np.maximum(trial, lower[:, None]), upper[:, None])
-    each = np.arange(len(free))
+    each = np.arange(len(bound))
     excess[each, each] = 0.0
     remaining = diagonal[:, None] - table**2 / np.where(diagonal > 0, diagonal, 1.0)
     # Zero for c_j itself and for fingers out of contact, neither of which can be in excess.
-    toll = np.divide(excess**2, remaining, out=np.zeros_like(excess), where=excess != 0)
+    toll = excess**2 / (np.maximum(remaining, 0.0) + lost)
     cost = np.einsum("ikn,kjn->ijn", gram, excess)
     cost += excess
     cost *= excess
     return bound + toll.max(axis=0), (bound + cost.sum(axis=0)).min(axis=0)
-
-
-def _hold_at_one(
-    table: Floats,
-    free: Floats,
-    bound: Floats,
-    step: Floats,
-    lower: Floats,
-    upper: Floats,
-    which: Indices,
-    where: Indices,
-) -> BoxBatch:
-    """Problems "c_j = 1" for the pairs (j, hand) in ``which`` and ``where``, ``(p,)``."""
-    pairs = np.arange(which.size)
-    column = table[:, which, where]
-    y = free[:, where]
-    y += column * step[which, where]
-    scaled = column / column[which, pairs]
-    tables = table[:, :, where]
-    tables -= scaled[:, None] * column
-    tables[which, :, pairs] = 0.0
-    tables[:, which, pairs] = 0.0
-    y[which, pairs] = 1.0
-    lower, upper = lower[:, where], upper[:, where]
-    lower[which, pairs] = 1.0
-    box = BoxBatch(tables, y, lower, upper)
-    box.rise += bound[which, where]
-    return box
-
-
-def _polish(
-    wrenches: Floats, forces: Floats, movable: Bools, lower: Floats, upper: Floats
-) -> Floats:
-    """The least-squares answer for the forces between their bounds, where it is one."""
-    w = np.moveaxis(wrenches, -1, 0)
-    c, moves = forces.T, movable.T
-    base = np.where(moves, 1.0, c)
-    inverse = np.linalg.pinv(np.where(moves[:, None, :], w, 0.0), rcond=_RANK)
-    polished = base - (inverse @ (w @ base[..., None]))[..., 0]
-    before = np.linalg.norm((w @ c[..., None])[..., 0], axis=-1)
-    after = np.linalg.norm((w @ polished[..., None])[..., 0], axis=-1)
-    fits = ((polished >= lower.T - 1e-7) & (polished <= upper.T + 1e-7)).all(axis=-1)
-    better = fits & (after <= before + 1e-9)
-    return np.clip(np.where(better[:, None], polished, c), lower.T, upper.T).T

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, types
 
-TOLERANCE = 1e-9  # on bounds and multipliers, as in dexctl.grasp.box_qp
-TIE = 1e-9  # as in dexctl.grasp.stability_solver
+TOLERANCE = 1e-9  # on variables, as in dexctl.grasp.box_qp
+ROUNDS = 300  # as there
+TIE, LOST, DUAL = 1e-11, 4e-15, 1e-15  # as in dexctl.grasp.stability_solver
 SHORTEST = 1e-3  # floor of the characteristic length [m]
 FREE, LOWER, UPPER = 0, -1, 1
 
@@ -29,55 +30,67 @@ def _compiled(signature=None):
 
 
 @_compiled()
-def _box(table, y, lower, upper, at):
-    """Principal pivoting for one box QP, in place; the rise of its objective (see box_qp)."""
-    k = len(y)
-    rise = 0.0
+def _box(hessian, linear, lower, upper, c, j, at, rows, tolerance):
+    """Principal pivoting for one box QP, in place (see box_qp).
+
+    ``c`` is the solution without bounds where c_j is held at one; j is -1 for none.
+    """
+    k = len(c)
+    free = np.empty(k, np.int64)
     at[:] = FREE
-    greedy = 3 * k + 4
-    for count in range(5000):
-        pick, worst = -1, TOLERANCE
+    if j >= 0:
+        at[j] = UPPER
+    for count in range(ROUNDS):
+        width = 0
         for i in range(k):
             if at[i] == FREE:
-                violation = max(y[i] - upper[i], lower[i] - y[i])
-            elif upper[i] == lower[i]:
-                continue
+                free[width] = i
+                width += 1
+        for a in range(width if count else 0):
+            line = hessian[free[a]]
+            right = linear
+            for m in range(k):
+                if at[m] != FREE:
+                    right -= line[m] * c[m]
+            for b in range(width):
+                rows[a, b] = line[free[b]]
+            rows[a, width] = right
+            for b in range(a):
+                factor = rows[a, b] / rows[b, b]
+                for m in range(b + 1, width + 1):
+                    rows[a, m] -= factor * rows[b, m]
+        for a in range(width - 1 if count else -1, -1, -1):
+            value = rows[a, width]
+            for m in range(a + 1, width):
+                value -= rows[a, m] * c[free[m]]
+            c[free[a]] = value / rows[a, a]
+        pick, worst, move = -1, 0.0, FREE
+        for i in range(k):
+            if at[i] == FREE:
+                excess = max(c[i] - upper[i], lower[i] - c[i])
+                side = UPPER if c[i] > upper[i] else LOWER
+                if excess <= TOLERANCE:
+                    continue
             else:
-                violation = at[i] * y[i]
-            if violation > worst:
-                pick = i
-                if count >= greedy:
-                    break
-                worst = violation
+                if upper[i] == lower[i]:
+                    continue
+                multiplier = -linear
+                for m in range(k):
+                    multiplier += hessian[i, m] * c[m]
+                excess = at[i] * multiplier
+                side = FREE
+                if excess <= tolerance:
+                    continue
+                excess /= linear
+            if pick < 0 or (excess > worst and count < 3 * k + 4):
+                pick, worst, move = i, excess, side
         if pick < 0:
             break
-        inverse = 1.0 / table[pick, pick]
-        if at[pick] == FREE:
-            side = UPPER if y[pick] > upper[pick] else LOWER
-            held = upper[pick] if side == UPPER else lower[pick]
-            step = (held - y[pick]) * inverse
-            rise += (held - y[pick]) * step
-            entering = step
-        else:
-            side = FREE
-            step = -y[pick] * inverse
-            rise += y[pick] * step
-            entering = step + (upper[pick] if at[pick] == UPPER else lower[pick])
-        at[pick] = side
-        for i in range(k):
-            if i != pick:
-                f = table[i, pick]
-                y[i] += f * step
-                for c in range(k):
-                    if c != pick:
-                        table[i, c] -= f * inverse * table[pick, c]
-                table[i, pick] = f * inverse
-        for c in range(k):
-            if c != pick:
-                table[pick, c] *= -inverse
-        table[pick, pick] = inverse
-        y[pick] = entering
-    return rise
+        at[pick] = move
+        if move != FREE:
+            c[pick] = upper[pick] if move == UPPER else lower[pick]
+    for i in range(k):
+        c[i] = min(max(c[i], lower[i]), upper[i])
 
 
 @_compiled()
@@ -128,38 +141,58 @@ def _stable_forces(wrench, active, k, low, high, rho, forces):
         gram[a, a] += rho
     table = _invert(gram, k)
     free = np.zeros(k)
+    size = 0.0
+    any_one = False
     for a in range(k):
+        size = max(size, gram[a, a])
+        any_one = any_one or upper[a] == 1.0
         for b in range(k):
             table[a, b] *= rho
             free[a] += table[a, b]
-    at = np.empty(k, np.int64)
-    work, y = np.empty((k, k)), np.empty(k)
-    best, held = np.inf, -1
-    any_one = False
+    at, rows = np.empty(k, np.int64), np.empty((k, k + 1))
+    dual = TOLERANCE * rho + DUAL * size
+    if not any_one:
+        _box(gram, rho, lower, upper, free, -1, at, rows, dual)
+        for a in range(k):
+            forces[active[a]] = free[a]
+        return -1
+    # in objectives over rho: room for what round-off does to closed forms, and for equal ones
+    lost, tie = LOST * k * k * size / rho, TIE * size / rho
+    bound, value = np.full(k, np.inf), np.full(k, np.inf)
+    found = np.empty((k, k))
     for j in range(k):
-        any_one = any_one or upper[j] == 1.0
-    for j in range(k):
-        if any_one and (upper[j] != 1.0 or (1.0 - free[j]) ** 2 / table[j, j] > best + TIE):
+        if upper[j] == 1.0:
+            bound[j] = k - free.sum() + (1.0 - free[j]) ** 2 / table[j, j]
+    best = np.inf
+    for turn in range(k + 1):  # the lowest bound first
+        j = np.argmin(bound) if turn == 0 else turn - 1
+        if value[j] < np.inf or bound[j] == np.inf:
             continue
-        work[:] = table
-        y[:] = free
+        if bound[j] > best + tie + lost * (1.0 + best):
+            continue
+        c = found[j]
+        step = (1.0 - free[j]) / table[j, j]
+        for a in range(k):
+            c[a] = free[a] + step * table[j, a]
+        c[j] = 1.0
         least = lower[j]
-        if any_one:
-            lower[j] = 1.0
-        rise = _box(work, y, lower, upper, at)
+        lower[j] = 1.0
+        _box(gram, rho, lower, upper, c, j, at, rows, dual)
         lower[j] = least
-        if rise < best - TIE:
-            best = rise
-            held = active[j] if any_one else -1
+        total = 0.0
+        for a in range(k):
+            line = 0.0
+            for b in range(k):
+                line += gram[a, b] * c[b]
+            total += c[a] * (line / rho - 2.0) + 1.0
+        value[j] = total
+        best = min(best, total)
+    for j in range(k):
+        if value[j] <= best + tie:
             for a in range(k):
-                side = at[a]
-                value = y[a] if side == FREE else (upper[a] if side == UPPER else lower[a])
-                if any_one and a == j:
-                    value = 1.0
-                forces[active[a]] = min(max(value, lower[a]), upper[a])
-        if not any_one:
-            break
-    return held
+                forces[active[a]] = found[j, a]
+            return active[j]
+    return -1
 
 
 def _read(kind, dimensions):

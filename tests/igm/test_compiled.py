@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 
 import numpy as np
@@ -10,9 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dexctl
+from dexctl.grasp import box_qp, stability_solver
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 
-numba = pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+compiled_numbers = pytest.importorskip("dexctl.igm.compiled")
 
 
 def _state(
@@ -120,3 +123,42 @@ def test_zero_regulariser_takes_the_plain_step(dex5: dexctl.HandModel) -> None:
     assert InGraspManipulation(dex5, regulariser=0.0).engine == "plain"
     with pytest.raises(dexctl.InvalidInput, match="regulariser is 0"):
         InGraspManipulation(dex5, regulariser=0.0, engine="compiled")
+
+
+@pytest.mark.parametrize("regulariser", [1e-6, 1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("tracked", [False, True])
+def test_fingers_at_one_contact(
+    dex5: dexctl.HandModel, regulariser: float, friction: float, tracked: bool
+) -> None:
+    """Contacts that coincide or oppose each other: both engines break ties alike."""
+    rng = np.random.default_rng(5)
+    config = InGraspManipulationConfig(regulariser=regulariser, friction=friction)
+    compiled = InGraspManipulation(dex5, config, engine="compiled")
+    plain = InGraspManipulation(dex5, config, engine="plain")
+    for size in (1, 24):
+        for controller in (compiled, plain):
+            controller.reset()
+        state = _state(dex5, rng, size, tracked)
+        state.in_contact[:] = True
+        point = np.where(np.isnan(state.contact_position), 0.01, state.contact_position)
+        normal = rng.normal(size=point.shape)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        point[:, 3], normal[:, 3] = point[:, 1], normal[:, 1]
+        normal[::2, 2] = -normal[::2, 0]
+        state = dataclasses.replace(
+            state,
+            contact_position=point,
+            contact_normal=normal,
+            contact_force=np.ones(point.shape[:2]),
+        )
+        np.testing.assert_allclose(compiled.act(state), plain.act(state), atol=1e-9)
+        for name, value in plain.diagnostics.items():
+            np.testing.assert_allclose(compiled.diagnostics[name], value, atol=1e-7, err_msg=name)
+
+
+def test_the_numbers_of_both_solvers_are_the_same() -> None:
+    for name in ("TOLERANCE", "ROUNDS"):
+        assert getattr(compiled_numbers, name) == getattr(box_qp, name)
+    for name in ("TIE", "LOST", "DUAL"):
+        assert getattr(compiled_numbers, name) == getattr(stability_solver, name)
