@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from dexctl.cli.commands import commands, find
+from dexctl.cli.commands import Command, commands, find
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 
 OK, FAILED, BAD_ARGUMENTS, INTERRUPTED = 0, 1, 2, 130
@@ -49,6 +49,9 @@ def _dispatch(arguments: list[str]) -> int:
     target, title = find(name).load(), f"dexctl {name}"
     if not isinstance(target, type):
         known = dict(target)
+        own = known.pop("", None)
+        if own is not None and (not rest or rest[0].startswith("-")):
+            return _run(own, title, rest)
         if not rest or rest[0] in ("-h", "--help"):
             lines = [f"usage: {title} <command> [options]", "", "commands:"]
             lines += [f"  {sub:<13} {_first_line(kind)}" for sub, kind in known.items()]
@@ -57,9 +60,13 @@ def _dispatch(arguments: list[str]) -> int:
         if rest[0] not in known:
             raise UnknownName(f"{title} command", rest[0], known)
         target, title, rest = known[rest[0]], f"{title} {rest[0]}", rest[1:]
+    return _run(target, title, rest)
+
+
+def _run(target: type[Command], title: str, arguments: list[str]) -> int:
     from dexctl.cli.parsing import parse
 
-    command = parse(target, title, rest)
+    command = parse(target, title, arguments)
     return OK if command is None else int(command.run() or OK)
 
 

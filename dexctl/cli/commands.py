@@ -2,9 +2,10 @@
 
 dexctl's own commands stand in a table. Other packages add theirs through the entry-point group
 ``dexctl.commands``: the name is the command's, the object is either a class as `Command`
-describes, or a mapping of names to such classes (``dexctl hardware scan``). An entry point is
-loaded when its command is run, not before: the overview reads the first line of the class's
-docstring from the source file.
+describes, or a mapping of names to such classes (``dexctl hardware scan``); the name "" is what
+runs without one (``dexctl plan``, beside ``dexctl plan show``). An entry point is loaded when its
+command is run, not before: the overview reads the first line of the class's docstring from the
+source file.
 """
 
 from __future__ import annotations
@@ -82,6 +83,11 @@ _OWN = (
         "check-grasp",
         "dexctl.cli.check_grasp:CheckGrasp",
         "Settle a grasp and say how good it is.",
+    ),
+    CommandEntry(
+        "plan",
+        "dexctl.cli.plan:COMMANDS",
+        "Grow a tree of grasps that turn an object; `plan show` films and draws one.",
     ),
     CommandEntry("hands", "dexctl.cli.hands:Hands", "List the hands that are known by name."),
 )

@@ -20,7 +20,7 @@ from dexctl.planning.nodes import Frame, root_of
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 from dexctl.settings import to_plain
-from dexctl.sim import Scene
+from dexctl.sim import Scene, SceneConfig
 
 _BLOCK = 10.0  # the file is written anew after this long, and never for more than a tenth of it [s]
 
@@ -57,6 +57,7 @@ def grow(
     stability: Stability | None = None,
     threads: int | None = None,
     tree: Tree | None = None,
+    scene_config: SceneConfig | None = None,
     path: str | Path | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Tree:
@@ -76,6 +77,7 @@ def grow(
         seed: the same seed, batch and number of expansions give the same tree.
         metric, bounds, stability: None: their defaults.
         threads: of the physics; None: every core.
+        scene_config: what the scene was built from, for the tree's header; None: not known.
         tree: one to go on with; its own seed and counts are continued.
         path: where the tree is written every few seconds and at the end, however that comes
             (Ctrl-C too): a killed process loses the last block of some seconds, no more.
@@ -111,6 +113,8 @@ def grow(
     expander = expansion.open(problem)
     try:
         tree = _begin(problem, expansion, expander.action_names, seed, tree)
+        if scene_config is not None:
+            tree.header.scene = to_plain(scene_config)
         search = Nearest(len(scene.hand.joint_names) + 6)
         search.add(problem.metric.of(problem.frame, tree.nodes))
         limits = (np.asarray(scene.lower), np.asarray(scene.upper))

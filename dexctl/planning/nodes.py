@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.rotations import inverse, multiply, rotate
+from dexctl.rotations import cross, inverse, multiply, rotate
 from dexctl.sim import BatchSimulator, Scene
 from dexctl.state import Bools, Floats
 from dexctl.validation import unit_axis
@@ -83,9 +83,9 @@ class Frame:
     @cached_property
     def across(self) -> Floats:
         """Two unit vectors across the axis and each other, ``(2, 3)``."""
-        first = np.cross(self.axis, np.eye(3)[np.argmin(np.abs(self.axis))])
-        first /= np.linalg.norm(first)
-        return np.array([first, np.cross(self.axis, first)])
+        first = cross(self.axis, np.eye(3)[np.argmin(np.abs(self.axis))])
+        first = first / np.linalg.norm(first)
+        return np.stack([first, cross(self.axis, first)])
 
     @cached_property
     def carried_axis(self) -> Floats:

@@ -1,0 +1,267 @@
+"""``dexctl plan``: grow a tree of grasps; ``dexctl plan show``: film and draw one."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from dexctl.cli.checks import make_folder
+from dexctl.cli.output import notes, print_json, progress, results, table, to_json
+from dexctl.cli.parsing import Switch
+from dexctl.cli.trials import check_viz
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.planning import (
+    Bounds,
+    ControllerMacros,
+    Expansion,
+    Metric,
+    Progress,
+    RandomActions,
+    Stability,
+    Tree,
+    grow,
+)
+from dexctl.settings import NESTED, Vector, from_plain
+from dexctl.sim import SceneConfig
+from dexctl.validation import unit_axis
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene
+
+TREE, FIGURES = "tree.npz", "plan.json"
+
+
+@dataclass(kw_only=True)
+class Plan:
+    """Grow a tree of grasps that turn an object.
+
+    Where nothing says when to stop, it stops after a full turn. The tree in the folder is whole at
+    any moment: after Ctrl-C, --resume goes on with it. `dexctl plan show` films and draws it.
+    """
+
+    expand: str = "controllers"
+    """How nodes are expanded: controllers (as actions, in simulation) or random (changes of the
+    set-points, in simulation: G-RRT)."""
+    axis: Vector = "z"
+    """Of the hand, about which the object is to be turned: x, y, z, -x, -y, -z, or x,y,z."""
+    until_rotation: float | None = None
+    """Stop when a node has turned this far [rad]."""
+    nodes: int | None = None
+    """Stop at so many nodes."""
+    seconds: float | None = None
+    """Stop after this time [s]."""
+    seed: int = 0
+    """Of the random numbers."""
+    out: Path = Path("out/plan")
+    """Folder for tree.npz and plan.json."""
+    resume: Switch = False
+    """Go on with the tree in the folder."""
+    json: Switch = False
+    """Print one JSON object instead of the table."""
+    controllers: ControllerMacros = field(default_factory=ControllerMacros)
+    random: RandomActions = field(default_factory=RandomActions)
+    metric: Metric = field(default_factory=Metric)
+    bounds: Bounds = field(default_factory=Bounds)
+    stability: Stability = field(default_factory=Stability)
+    scene: Annotated[SceneConfig, NESTED] = field(default_factory=SceneConfig)
+
+    def run(self) -> int:
+        expansion, axis = self._expansion(), unit_axis(self.axis)
+        if len(self.scene.object) != 1:
+            raise InvalidInput(
+                f"--object is {' '.join(self.scene.object)}; this command takes one object"
+            )
+        path = make_folder(self.out) / TREE
+        tree = self._tree(path)
+        until = self.until_rotation
+        if until is None and self.nodes is None and self.seconds is None:
+            until = 2 * math.pi
+        (scene,) = self.scene.scenes()
+        try:
+            with ExitStack() as stack:
+                show = _Bar(stack, self.nodes, self.seconds, until)
+                tree = grow(
+                    scene,
+                    expansion,
+                    nodes=self.nodes,
+                    seconds=self.seconds,
+                    until_rotation=until,
+                    axis=axis,
+                    seed=self.seed,
+                    metric=self.metric,
+                    bounds=self.bounds,
+                    stability=self.stability,
+                    threads=self.scene.threads,
+                    tree=tree,
+                    scene_config=self.scene,
+                    path=path,
+                    progress=show,
+                )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted; the tree is in {path}, and the same command with --resume goes on"
+            ) from None
+        found = describe(tree)
+        self._write(found)
+        if self.json:
+            print_json(found)
+        else:
+            _print(tree, found)
+        return 0
+
+    def _expansion(self) -> Expansion:
+        known: dict[str, Expansion] = {"controllers": self.controllers, "random": self.random}
+        if self.expand not in known:
+            raise UnknownName("--expand", self.expand, known)
+        return known[self.expand]
+
+    def _tree(self, path: Path) -> Tree | None:
+        if not self.resume:
+            if path.exists():
+                raise InvalidInput(
+                    f"{path} is there already; expected --resume, which goes on with it, or "
+                    "another --out"
+                )
+            return None
+        return Tree.load(path)
+
+    def _write(self, found: dict[str, Any]) -> None:
+        from dexctl.files import write_text
+        from dexctl.report.machine import machine
+
+        path = self.out.expanduser() / FIGURES
+        write_text(path, to_json({**found, "machine": machine()}) + "\n")
+        notes().print(f"written: {path.with_name(TREE)} and {path}")
+
+
+@dataclass(kw_only=True)
+class Show:
+    """Film the best path of a tree, and draw the tree, its growth and the path's contacts.
+
+    Writes path.mp4 and tree.png into the folder.
+    """
+
+    tree: tyro.conf.Positional[Path]
+    """The file, or the folder that it is in."""
+    out: Path | None = None
+    """Folder for the film and the picture; none: where the tree is."""
+    json: Switch = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        check_viz("dexctl plan show")
+        source = self.tree.expanduser()
+        source = source / TREE if source.is_dir() else source
+        tree = Tree.load(source)
+        folder = make_folder(self.out or source.parent)
+        found = describe(tree)
+        (path,) = tree.paths(1)
+        found["path"] = path.tolist()
+        from dexctl.report.tree import draw, film
+
+        (folder / "tree.png").write_bytes(draw(tree, path))
+        written = [folder / "tree.png"]
+        with progress(notes()) as bar:
+            task = bar.add_task("drawing the best path", total=len(path))
+            film(scene_of(tree), tree, path, folder / "path.mp4",
+                 lambda done: bar.update(task, completed=done))  # fmt: skip
+        written.append(folder / "path.mp4")
+        notes().print(f"written: {' and '.join(map(str, written))}")
+        if self.json:
+            print_json(found)
+        else:
+            _print(tree, found)
+        return 0
+
+
+COMMANDS = {"": Plan, "show": Show}
+
+
+def scene_of(tree: Tree) -> Scene:
+    """The scene that a tree is of.
+
+    Raises:
+        InvalidInput: it was grown in a scene that is not one of `SceneConfig`.
+    """
+    header = tree.header
+    if header.scene is None:
+        from dexctl.sim import Scene
+
+        return Scene.build(
+            header.hand,
+            header.object,
+            header.gravity,
+            object_mass=header.object_mass,
+            object_size=header.object_width or None,
+        )
+    (scene,) = from_plain(SceneConfig, header.scene).scenes()
+    return scene
+
+
+def describe(tree: Tree) -> dict[str, Any]:
+    """For JSON: what a tree is of and what came of growing it."""
+    header = tree.header
+    tried = max(len(tree) - 1 + sum(header.refused.values()), 1)
+    return {
+        "command": "plan",
+        **header.to_plain(),
+        "nodes": len(tree),
+        "rotation_rad": float(tree.rotation.max()),
+        "accepted": (len(tree) - 1) / tried,
+        "nodes_per_second": len(tree) / header.seconds if header.seconds else None,
+    }
+
+
+def _print(tree: Tree, found: dict[str, Any]) -> None:
+    header, shown = tree.header, table()
+    path = tree.path_to(int(tree.rotation.argmax()))
+    refused = ", ".join(f"{why} {count}" for why, count in sorted(header.refused.items()))
+    rate = found["nodes_per_second"]
+    for what, value in (
+        ("greatest rotation", f"{found['rotation_rad']:.2f} rad, by {len(path) - 1} actions"),
+        ("nodes", f"{len(tree)} of {header.expansions} expansions"),
+        ("accepted", f"{100 * found['accepted']:.0f} % of candidates"),
+        ("refused", refused or "none"),
+        ("time", f"{header.seconds:.1f} s, {rate or math.nan:.0f} nodes/s"),
+        ("physics steps", f"{header.physics_steps}"),
+    ):
+        shown.add_row(what, value)
+    results().print(f"[bold]{header.hand} turns a {header.object}, {header.expansion}[/bold]\n")
+    results().print(shown)
+
+
+class _Bar:
+    """What is shown while a tree grows: how much of what ends it is done, and what is refused."""
+
+    def __init__(
+        self, stack: ExitStack, nodes: int | None, seconds: float | None, until: float | None
+    ) -> None:
+        self._ends = nodes, seconds, until
+        self._bar = stack.enter_context(progress(notes()))
+        self._grown = self._bar.add_task("", total=1.0)
+        self._refused = self._bar.add_task("", total=1.0)
+
+    def __call__(self, now: Progress) -> None:
+        done = [
+            value / end
+            for value, end in zip(
+                (now.nodes, now.seconds, max(now.rotation, 0.0)), self._ends, strict=True
+            )
+            if end
+        ]
+        refused = sum(now.refused.values())
+        share = (now.nodes - 1) / max(now.nodes - 1 + refused, 1)
+        rate = now.nodes / max(now.seconds, 1e-9)
+        self._bar.update(
+            self._grown,
+            completed=max(done),
+            description=f"{now.nodes} nodes, {rate:.0f}/s, {now.rotation:.2f} rad",
+        )
+        why = max(now.refused, key=lambda name: now.refused[name], default="")
+        most = f", most for {why}" if why else ""
+        self._bar.update(self._refused, completed=share, description=f"accepted{most}")

@@ -1,0 +1,107 @@
+"""`dexctl plan` and `plan show`: a tree in a folder, resumed, interrupted, drawn."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dexctl.cli import main
+from dexctl.planning import Tree, grow
+from dexctl.sim import SceneConfig, Simulation
+
+SMALL = ["--expand", "random", "--random.batch", "8", "--object", "cylinder", "--threads", "1"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tree of some ten nodes."""
+    folder = tmp_path_factory.mktemp("plan")
+    assert main(["plan", *SMALL, "--nodes", "10", "--seed", "3", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_a_tree_is_grown_and_described(folder: Path) -> None:
+    tree = Tree.load(folder / "tree.npz")
+    found = json.loads((folder / "plan.json").read_text())
+    assert found["nodes"] == len(tree) >= 10
+    assert found["rotation_rad"] == tree.rotation.max()
+    assert found["settings"]["expansion"]["batch"] == 8 and found["seed"] == 3
+    assert found["scene"]["object"] == ["cylinder"] and found["machine"]["cores"]
+    assert 0 < found["accepted"] < 1
+
+
+def test_it_is_resumed_and_not_written_over(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "again"
+    out.mkdir()
+    (out / "tree.npz").write_bytes((folder / "tree.npz").read_bytes())
+    before = len(Tree.load(out / "tree.npz"))
+    line = ["plan", *SMALL, "--nodes", "20", "--out", str(out)]
+    assert main(line) == 2
+    assert "is there already; expected --resume" in capsys.readouterr().err
+    assert main([*line, "--resume", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["nodes"] >= 20 > before
+    assert main([*line, "--resume", "--gravity", "down"]) == 2
+    assert "the tree is of the gravity" in capsys.readouterr().err
+    assert len(Tree.load(out / "tree.npz")) >= 20
+
+
+def test_ctrl_c_leaves_a_tree_that_loads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*arguments, progress, **keywords):
+        def stop(now):
+            progress(now)
+            raise KeyboardInterrupt
+
+        return grow(*arguments, progress=stop, **keywords)
+
+    monkeypatch.setattr("dexctl.cli.plan.grow", interrupted)
+    assert main(["plan", *SMALL, "--nodes", "500", "--out", str(tmp_path)]) == 130
+    assert "with --resume goes on" in capsys.readouterr().err
+    assert len(Tree.load(tmp_path / "tree.npz")) > 1
+
+
+def test_episodes_start_from_a_tree(folder: Path) -> None:
+    tree = Tree.load(folder / "tree.npz")
+    config = SceneConfig(
+        object=("cylinder",), initial_states=folder / "tree.npz", disturbance=0.0, threads=1
+    )
+    with Simulation(config, 4, 0) as sim:
+        start = sim.state
+        assert start.object_quaternion is not None
+        for row in start.q:
+            assert np.abs(tree.nodes.q - row).max(axis=1).min() < 1e-12
+
+
+def test_what_plan_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, why in (
+        (["--expand", "magic"], "unknown --expand 'magic'; known: controllers, random"),
+        (["--object", "cube", "sphere"], "this command takes one object"),
+        (["--nodes", "-1"], "nodes is -1; expected a number above 0"),
+        (["--until-rotation", "30"], "until_rotation is 30"),
+        (["--resume"], "cannot be read"),
+    ):
+        assert main(["plan", *words, "--out", str(tmp_path)]) == 2
+        assert why in capsys.readouterr().err
+    assert main(["plan", "film"]) == 2
+    assert "unknown dexctl plan command 'film'; known: show" in capsys.readouterr().err
+
+
+def test_show_draws_the_tree_and_films_its_path(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason="the extra 'viz' is not installed")
+    code = main(["plan", "show", str(folder), "--out", str(tmp_path), "--json"])
+    said = capsys.readouterr()
+    if code == 1 and "OpenGL" in said.err:
+        pytest.skip("no OpenGL to draw with")
+    assert code == 0
+    tree, found = Tree.load(folder / "tree.npz"), json.loads(said.out)
+    assert found["path"] == tree.paths(1)[0].tolist()
+    assert (tmp_path / "tree.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "path.mp4").stat().st_size > 2000
