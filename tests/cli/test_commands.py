@@ -202,7 +202,7 @@ def test_rotate_about_another_axis_with_limits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("fly", "unknown command 'fly'; known: demo, rotate, check-grasp, hands"),
+        ("fly", "unknown command 'fly'; known: demo, rotate, check-grasp, plan, hands"),
         ("rotate --hand claw", "unknown hand 'claw'; known: dex5, wonik_allegro"),
         ("rotate --object ball", "unknown object 'ball'; known: cube, sphere, cylinder"),
         ("rotate --controller walk", "unknown controller 'walk'; known: igm, switch, gait"),
