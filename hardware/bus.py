@@ -26,6 +26,7 @@ from dexctl.state import Floats
 from hardware.exceptions import ServoError
 from hardware.guarding import Guard
 from hardware.line import Line
+from hardware.models import BY_NUMBER, ServoModel, known_numbers
 from hardware.port import SerialPort
 from hardware.protocol import (
     BROADCAST,
@@ -42,10 +43,12 @@ from hardware.readings import (
     checked_id,
     checked_ids,
     cut_readings,
+    joined,
 )
-from hardware.registers import ALERT, TORQUE_ENABLE, Register, describe_status_error
+from hardware.registers import ALERT, MODEL, TORQUE_ENABLE, Register, describe_status_error
 
 REBOOT_TIMEOUT = 3.0  # s until a rebooted servo must answer
+EVERYONE_SECONDS = 0.8  # the servo of the highest ID answers last, 3 ms after each one before it
 FAST_TRIALS = 3  # fast reads that may fail before the servos count as not knowing them
 FAST_PAUSE = 50  # plain reads after a servo was missing, before a fast one is tried again
 
@@ -70,6 +73,7 @@ class Bus:
 
     Attributes:
         ids: as given.
+        models: of the servos that `identify` has asked; others are taken for an XM430-W210.
         statistics: counts since the bus was opened.
 
     Raises:
@@ -95,6 +99,8 @@ class Bus:
         self.timeout = float(timeout)
         self.retries = int(retries)
         self._lock = threading.Lock()
+        self.models: dict[int, ServoModel] = {}
+        self._grouped: dict[tuple[int, ...], list[tuple[ServoModel | None, list[int]]]] = {}
         self._fast: bool | None = None
         self._fast_failures = 0
         self._fast_pause = 0
@@ -169,11 +175,21 @@ class Bus:
         if not registers:
             raise InvalidInput("no registers to read")
         chosen = self.ids if ids is None else checked_ids(ids)
-        start = min(register.address for register in registers)
-        size = max(register.end for register in registers) - start
+        groups = []
+        for model, rows in self._groups(chosen):
+            own = [model.register(register) for register in registers] if model else registers
+            start = min(register.address for register in own)
+            groups.append((own, rows, (start, max(register.end for register in own) - start)))
+        answers: dict[int, Answer] = {}
         with self._lock:
-            answers = self._sync_read(start, size, chosen)
-        return cut_readings(registers, chosen, start, size, answers)
+            for span in dict.fromkeys(span for _, _, span in groups):  # one, where models agree
+                rows = sorted(row for _, some, other in groups if other == span for row in some)
+                answers |= self._sync_read(span[0], span[1], tuple(chosen[row] for row in rows))
+        cut = []
+        for own, rows, (start, size) in groups:
+            some = tuple(chosen[row] for row in rows)
+            cut.append((rows, cut_readings(own, some, start, size, answers)))
+        return cut[0][1] if len(cut) == 1 else joined(registers, chosen, cut)
 
     def write(
         self, register: Register, value: ArrayLike, ids: Sequence[int] | None = None
@@ -194,12 +210,91 @@ class Bus:
             PortLost: the port has vanished.
         """
         chosen = self.ids if ids is None else checked_ids(ids)
-        raw = self._raw_values(register, value, len(chosen))
-        packet = _sync_write(register, raw, chosen)
+        raw, scale, own = self.to_raw(register, value, chosen)
+        packets = []
+        for known in dict.fromkeys(own):
+            rows = [row for row, other in enumerate(own) if other is known]
+            packets.append(_sync_write(known, raw[rows], tuple(chosen[row] for row in rows)))
         with self._lock:
             self._line.settle()
-            self._line.send(packet)
-        return register.to_si(raw)
+            for packet in packets:
+                self._line.send(packet)
+        return raw * scale
+
+    def to_raw(
+        self, register: Register, value: ArrayLike, ids: Sequence[int]
+    ) -> tuple[np.ndarray, Floats, list[Register]]:
+        """Raw values ``(n,)``, SI units per raw unit ``(n,)`` and each servo's own register.
+
+        Raises:
+            InvalidInput: a value not finite or out of a servo's range, or a read-only register.
+        """
+        count = len(ids)
+        values = np.asarray(value, np.float64)
+        if values.shape not in ((), (1,), (count,)):
+            raise InvalidInput(
+                f"{register.name} has values of shape {values.shape}; expected one, or ({count},)"
+            )
+        values = np.broadcast_to(values.reshape(-1), (count,))
+        raw, scale, own = np.zeros(count, np.int64), np.ones(count), [register] * count
+        for model, rows in self._groups(tuple(ids)):
+            known = model.register(register) if model else register
+            if not known.writable:
+                raise InvalidInput(f"{known.name} is read-only")
+            raw[rows], scale[rows] = known.to_raw(values[rows]), known.scale
+            for row in rows:
+                own[row] = known
+        return raw, scale, own
+
+    def identify(self, ids: Sequence[int] | None = None, attempts: int = 6) -> list[ServoModel]:
+        """Ask servos (default: all) for their models; from then on their registers are theirs.
+
+        Raises:
+            ServoError: a servo does not answer, or is of a model that nobody has described.
+        """
+        chosen = self.ids if ids is None else checked_ids(ids)
+        found = self.read(MODEL, chosen)
+        for _ in range(attempts - 1):
+            if found.ok.all():
+                break
+            found = self.read(MODEL, chosen)
+        if found.missing:
+            raise ServoError(
+                f"no answer from servo {', '.join(map(str, found.missing))} about its model: check "
+                "cable, power and ID",
+                found.missing[0],
+                answered=False,
+            )
+        for servo, number in zip(chosen, found.raw.tolist(), strict=True):
+            if number not in BY_NUMBER:
+                raise ServoError(
+                    f"servo {servo} has model {number}; expected one of {known_numbers()}", servo
+                )
+            self.models[servo] = BY_NUMBER[number]
+        self._grouped.clear()
+        return [self.models[servo] for servo in chosen]
+
+    def everyone(self) -> dict[int, Ping]:
+        """All servos that answer a ping to everybody, by ID; takes 0.8 s."""
+        with self._lock:
+            answers = self._line.gather(build(BROADCAST, Instruction.PING), EVERYONE_SECONDS)
+        return {
+            packet.id: Ping(*struct.unpack("<HB", packet.data), packet.error)
+            for packet in answers
+            if len(packet.data) == 3
+        }
+
+    def _groups(self, ids: tuple[int, ...]) -> list[tuple[ServoModel | None, list[int]]]:
+        """Rows of ``ids`` by model; None: not asked yet, taken for an XM430-W210."""
+        groups = self._grouped.get(ids)
+        if groups is None:
+            by_model: dict[ServoModel | None, list[int]] = {}
+            for row, servo in enumerate(ids):
+                by_model.setdefault(self.models.get(servo), []).append(row)
+            groups = list(by_model.items())
+            if len(self._grouped) < 256:
+                self._grouped[ids] = groups
+        return groups
 
     def guard(self, ids: Sequence[int] | None = None) -> Guard:
         """Start a process that takes the torque of servos (default: all) off if this one dies.
@@ -219,13 +314,14 @@ class Bus:
             ServoError: the servo refuses it, or does not answer.
             PortLost: the port has vanished.
         """
-        raw = int(self._raw_values(register, value, 1)[0])
-        what = f"write {register.name} = {raw}"
-        parameters = struct.pack("<H", register.address) + register.encode(raw)
+        values, scale, (known,) = self.to_raw(register, value, (checked_id(servo),))
+        raw = int(values[0])
+        what = f"write {known.name} = {raw}"
+        parameters = struct.pack("<H", known.address) + known.encode(raw)
         with self._lock:
             answer = self._ask(servo, Instruction.WRITE, parameters, 0, what)
         _raise_refusal(answer.error, servo, what)
-        return float(register.to_si(raw))
+        return float(raw * scale[0])
 
     def reboot(self, servo: int) -> Ping:
         """Restart one servo and wait until it answers: torque off, errors and turns forgotten.
@@ -335,16 +431,6 @@ class Bus:
             if len(self._sync_read_packets) < 256:
                 self._sync_read_packets[key] = packet
         return packet
-
-    def _raw_values(self, register: Register, value: ArrayLike, count: int) -> np.ndarray:
-        if not register.writable:
-            raise InvalidInput(f"{register.name} is read-only")
-        raw = register.to_raw(value)
-        if raw.shape not in ((), (1,), (count,)):
-            raise InvalidInput(
-                f"{register.name} has values of shape {raw.shape}; expected one, or ({count},)"
-            )
-        return np.broadcast_to(raw.reshape(-1), (count,))
 
 
 def _sync_write(register: Register, raw: np.ndarray, ids: tuple[int, ...]) -> bytes:

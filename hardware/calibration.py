@@ -11,7 +11,7 @@ because a servo that lost power counts from its first turn again.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,10 +25,6 @@ from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 
 TURN = 2.0 * np.pi
-TORQUE_CONSTANT = 1.3
-"""Torque per current [N m/A] of an XM430-W210 by its data sheet: 3.0 N m at 2.3 A, stalled."""
-MOST_AMPERE = 3.2
-"""What the current limit register of an XM430-W210 can hold (1193 units of 2.69 mA) [A]."""
 _COLUMNS = ("name", "servo", "sign", "zero", "lower", "upper", "torque_constant")
 
 
@@ -43,7 +39,8 @@ class Calibration:
         sign: +1 where the joint turns with its servo, -1 where against it, ``(d,)`` int.
         zero: servo angle at joint angle 0, ``(d,)`` [rad].
         lower, upper: joint range that set-points stay in, ``(d,)`` [rad].
-        torque_constant: torque per current, ``(d,)`` [N m/A].
+        torque_constant: torque per current, ``(d,)`` [N m/A]; torque at full voltage [N m] where a
+            servo measures no current; NaN: that of the servo's model, by its data sheet.
         date: when it was measured.
 
     Raises:
@@ -77,8 +74,8 @@ class Calibration:
             ("lower", np.isfinite(self.lower), "a finite angle [rad]"),
             ("upper", np.isfinite(self.upper) & (self.upper > self.lower), "above lower"),
             ("upper", self.upper - self.lower < TURN, "less than a turn above lower"),
-            ("torque_constant", (self.torque_constant > 0) & np.isfinite(self.torque_constant),
-             "above 0"),
+            ("torque_constant", ~(self.torque_constant <= 0) & ~np.isinf(self.torque_constant),
+             "above 0, or nan for that of the servo's model"),
         ):  # fmt: skip
             for i in np.flatnonzero(~good)[:1]:
                 raise InvalidInput(
@@ -90,18 +87,23 @@ class Calibration:
             raise InvalidInput(f"servo {servos[uses > 1][0]} has several joints; expected one each")
 
     @classmethod
-    def nominal(cls, hand: HandModel) -> Calibration:
-        """Servos 1 to d, mounted so that joint angle 0 is the middle of a turn (2048 ticks)."""
+    def nominal(cls, hand: HandModel, servo: Sequence[int] | None = None) -> Calibration:
+        """Servos mounted so that joint angle 0 is the middle of a turn (2048 ticks).
+
+        Args:
+            hand: the model.
+            servo: IDs of its joints, d of them; default 1 to d.
+        """
         ones = np.ones(hand.nq)
         return cls(
             hand=hand.name,
             joint_names=tuple(hand.joint_names),
-            servo=np.arange(1, hand.nq + 1),
+            servo=np.arange(1, hand.nq + 1) if servo is None else np.asarray(servo, int),
             sign=ones.astype(int),
             zero=np.pi * ones,
             lower=hand.lower,
             upper=hand.upper,
-            torque_constant=TORQUE_CONSTANT * ones,
+            torque_constant=np.nan * ones,
         )
 
     def check(self, hand: HandModel) -> Calibration:
@@ -154,17 +156,13 @@ class Calibration:
         """Servo angles ``(d,)`` [rad] of joint angles; the inverse of `joint_angle`."""
         return self.zero + self.sign * q + TURN * turns
 
-    def current(self, torque: Floats | float) -> Floats:
-        """Current ``(d,)`` [A] that gives this torque [N m], at most what the register holds."""
-        return np.minimum(torque / self.torque_constant, MOST_AMPERE)
-
     def save(self, path: str | Path) -> None:
         """Write the TOML file, whole or not at all."""
         from dexctl.files import write_text
 
         lines = [
             "# Joint angle 0 is at servo angle `zero` [rad]; `sign` is -1 where they turn against",
-            "# each other; range [rad] of the joint; torque_constant [N m/A].",
+            "# each other; range [rad] of the joint; torque_constant [N m/A], nan: the model's.",
             f'hand = "{self.hand}"',
             f"date = {self.date.isoformat()}",
         ]

@@ -8,6 +8,7 @@ of the torque. One thread uses a hand at a time.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,12 +23,14 @@ from hardware.calibration import Calibration
 from hardware.exceptions import BusError, PortLost, ServoError, tell_torque
 from hardware.guarding import Guard
 from hardware.limits import Limits
-from hardware.registers import OperatingMode, Register
+from hardware.models import XM430_W210, ServoModel
+from hardware.readings import Readings
+from hardware.registers import Register
 from hardware.samples import Health, JointSample, TorqueReport
 from hardware.state_machine import Torque
 from hardware.tactile import NoTactile, TactileReading, TactileSource
 from hardware.ticker import Ticker
-from hardware.units import ServoGains
+from hardware.units import ServoGains, SimGains, to_servo
 
 CONTROL_PERIOD = 0.02
 _PATIENCE = 5  # how often a servo is asked, beyond the bus's own retries, before torque is on
@@ -41,7 +44,8 @@ class ServoHand:
         hand: the model.
         calibration: how joints lie on servos; default servos 1 to d, straight.
         limits: speed, torque and the rest.
-        gains: of the position loop; default: as they are in the servos.
+        gains: of the position loop: as registers, the same for all servos, or in SI units, which
+            each model has registers of its own for; default: as they are in the servos.
         tactile: what the fingertips feel; default nothing.
         control_period: time of one :meth:`step`, and what the speed limit reckons with [s].
 
@@ -51,6 +55,10 @@ class ServoHand:
         q_target: the set-points sent last, ``(d,)`` [rad], before rounding to the servo's ticks
             of 1.5 mrad (a slow motion would be lost if the rounded value were built on); NaN
             until armed.
+        models: of the servos, d; XM430-W210 until `configure` has asked them.
+        torque_constant: of the calibration, or the models, ``(d,)`` [N m/A], [N m].
+        hot: from which temperature on is warned, ``(d,)`` [degC].
+        voltage: lowest and highest supply, ``(2, d)`` [V].
 
     Raises:
         InvalidInput: hand, calibration and bus do not belong together.
@@ -63,7 +71,7 @@ class ServoHand:
         calibration: Calibration | None = None,
         *,
         limits: Limits | None = None,
-        gains: ServoGains | None = None,
+        gains: ServoGains | SimGains | None = None,
         tactile: TactileSource | None = None,
         control_period: float = CONTROL_PERIOD,
     ) -> None:
@@ -79,6 +87,7 @@ class ServoHand:
         self.torque_report = TorqueReport(Torque.UNKNOWN, "torque state UNKNOWN: never asked")
         self.q_target = np.full(hand.nq, np.nan)
         self._ids = [int(servo) for servo in self.calibration.servo]
+        self._take_models([XM430_W210] * hand.nq)
         self._turns: Floats | None = None
         self._sample: JointSample | None = None
         self._touch: TactileReading = self.tactile.read()
@@ -98,9 +107,10 @@ class ServoHand:
     def arm(self) -> None:
         """Torque on, with the set-points where the joints stand.
 
-        In this order: torque off, mode and limits written and read back, turns resolved, set-points
-        to the present position, speed and current limits, bus watchdog, torque on. From then on
-        the bus must not be silent for longer than ``limits.watchdog``, and a guard takes the torque
+        In this order: torque off, models asked, mode and limits written and read back, turns
+        resolved, set-points to the present position, speed and current limits, bus watchdog, torque
+        on. From then on the bus must not be silent for longer than ``limits.watchdog``, and a guard
+        takes the torque
         off if this process dies (`hardware.guard`).
 
         Raises:
@@ -129,28 +139,51 @@ class ServoHand:
         self._set(registers.PROFILE_ACCELERATION, 0.0)
         self._set(registers.PROFILE_VELOCITY, self.limits.speed_limit)
         if self.gains is not None:
-            self._set(registers.POSITION_P_GAIN, float(self.gains.p))
-            self._set(registers.POSITION_D_GAIN, float(self.gains.d))
+            gains = [self._gains_of(joint) for joint in range(len(self._ids))]
+            self._set(registers.POSITION_P_GAIN, [float(gain.p) for gain in gains])
+            self._set(registers.POSITION_D_GAIN, [float(gain.d) for gain in gains])
             self._set(registers.POSITION_I_GAIN, 0.0)
-        self._set(registers.GOAL_CURRENT, self.calibration.current(self.limits.torque_limit))
+        self._set(registers.GOAL_CURRENT, self._most_drive)
+
+    def _gains_of(self, joint: int) -> ServoGains:
+        if not isinstance(self.gains, SimGains):
+            assert self.gains is not None
+            return self.gains
+        model = self.models[joint]
+        scale = replace(model.loop, torque_constant=float(self.torque_constant[joint]))
+        return to_servo(self.gains, scale, model.register(registers.CURRENT_LIMIT))
+
+    def _take_models(self, models: list[ServoModel]) -> None:
+        limits, given = self.limits, self.calibration.torque_constant
+        self.models = models
+        own = np.array([model.torque_constant for model in models])
+        self.torque_constant = np.where(np.isnan(given), own, given)
+        most = [model.register(registers.CURRENT_LIMIT) for model in models]
+        self._most_drive = np.minimum(
+            limits.torque_limit / self.torque_constant, [one.high * one.scale for one in most]
+        )
+        asked = limits.temperature
+        self.hot = np.array([model.hot if asked is None else asked for model in models])
+        self.voltage = np.array([limits.voltage or model.voltage for model in models]).T
 
     def configure(self) -> None:
-        """Torque off, settings that live in EEPROM written where they differ, turns resolved.
+        """Torque off, models asked, settings of the EEPROM written where they differ, turns.
 
         Raises:
             ServoError, InvalidInput: see :meth:`arm`.
         """
         self._set(registers.TORQUE_ENABLE, 0.0)
         self.torque = Torque.OFF
+        self._take_models(self.bus.identify(self._ids))
         self._check_errors()
         # after a trip the goals are read-only until this is cleared
         self._set(registers.BUS_WATCHDOG, 0.0)
         for register, value in (
-            (registers.OPERATING_MODE, float(OperatingMode.CURRENT_BASED_POSITION)),
+            (registers.OPERATING_MODE, [float(model.mode) for model in self.models]),
             (registers.DRIVE_MODE, 0.0),
             (registers.HOMING_OFFSET, 0.0),
             (registers.RETURN_DELAY, 0.0),
-            (registers.CURRENT_LIMIT, self.calibration.current(self.limits.torque_limit)),
+            (registers.CURRENT_LIMIT, self._most_drive),
         ):
             if not self._is_set(register, value):
                 self._set(register, value)
@@ -168,11 +201,14 @@ class ServoHand:
             )
 
     def _must(self, register: Register) -> Floats:
-        """The register of every servo; ServoError where one does not answer."""
+        """The register of every servo in SI units; ServoError where one does not answer."""
+        return self._answers(register).value
+
+    def _answers(self, register: Register) -> Readings:
         readings = self.bus.read(register, self._ids)
         for _ in range(_PATIENCE):  # nothing moves yet, so there is time to ask again
             if readings.ok.all():
-                return readings.value
+                return readings
             readings = self.bus.read(register, self._ids)
         silent = readings.missing or (self._ids[0],)
         raise ServoError(
@@ -183,22 +219,21 @@ class ServoHand:
         )
 
     def _is_set(self, register: Register, value: ArrayLike) -> bool:
-        wanted = register.to_raw(np.broadcast_to(np.asarray(value, float), len(self._ids)))
-        return bool((register.to_raw(self._must(register)) == wanted).all())
+        wanted, _, _ = self.bus.to_raw(register, value, self._ids)
+        return bool((self._answers(register).raw == wanted).all())
 
     def _set(self, register: Register, value: ArrayLike) -> None:
         """Write a register of all servos, read it back and compare."""
-        values = np.broadcast_to(np.asarray(value, float), len(self._ids))
-        wanted = register.to_raw(values)
+        wanted, scale, own = self.bus.to_raw(register, value, self._ids)
         for _ in range(_PATIENCE):  # a sync write that got lost shows only here
-            self.bus.write(register, values, self._ids)
-            found = register.to_raw(self._must(register))
-            if (found == wanted).all():
+            self.bus.write(register, value, self._ids)
+            found = self._answers(register)
+            if (found.raw == wanted).all():
                 return
-        for i in np.flatnonzero(found != wanted)[:1]:
+        for i in np.flatnonzero(found.raw != wanted)[:1]:
             raise ServoError(
-                f"servo {self._ids[i]} keeps {register.name} at {found[i] * register.scale:.6g} "
-                f"{register.unit} instead of {values[i]:.6g}",
+                f"servo {self._ids[i]} keeps {own[i].name} at {found.value[i]:.6g} "
+                f"{own[i].unit} instead of {wanted[i] * scale[i]:.6g}",
                 self._ids[i],
             )
 
@@ -225,7 +260,7 @@ class ServoHand:
         sign, last = self.calibration.sign, self._sample
         q = self.calibration.joint_angle(position.value, self._turn_count)
         fresh = position.ok & np.isfinite(q)
-        torque = sign * self.calibration.torque_constant * current.value
+        torque = sign * self.torque_constant * current.value
         rate = sign * velocity.value
         if last is None:
             if not fresh.all():

@@ -36,10 +36,10 @@ class Limits:
     """How old what is known of the joints may be [s]."""
     watchdog: float = 0.1
     """Silence of the bus after which the servos stop by themselves [s]."""
-    temperature: float = 70.0
-    """Of a servo, above which is warned [degC]; 10 below where it shuts down."""
-    voltage: tuple[float, float] = (10.0, 14.8)
-    """Lowest and highest supply [V]."""
+    temperature: float | None = None
+    """Of a servo, above which is warned [degC]; none: 10 below where its model shuts down."""
+    voltage: tuple[float, float] | None = None
+    """Lowest and highest supply [V]; none: as the servos' models are made for."""
     overruns: tuple[float, float] = (0.05, 0.20)
     """Share of ticks that may overrun before a warning, and before the hand is held."""
 
@@ -48,9 +48,10 @@ class Limits:
         for name, most in (("speed_limit", MOST_SPEED), ("torque_limit", MOST_TORQUE)):
             if getattr(self, name) > most:
                 raise InvalidInput(f"{name} is {getattr(self, name)}; expected at most {most}")
-        low, high = self.voltage
-        if not 0 < low < high < np.inf:
-            raise InvalidInput(f"voltage is {self.voltage}; expected (lowest, highest) above 0")
+        if self.voltage is not None:
+            low, high = self.voltage
+            if not 0 < low < high < np.inf:
+                raise InvalidInput(f"voltage is {self.voltage}; expected (lowest, highest) above 0")
         warn, hold = self.overruns
         if not 0 < warn <= hold <= 1:
             raise InvalidInput(f"overruns is {self.overruns}; expected two shares, rising, to 1")
@@ -74,4 +75,5 @@ class Limits:
 
 
 def _numbers(limits: Limits) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(limits) if f.name not in ("voltage", "overruns"))
+    numbers = (f.name for f in fields(limits) if f.name not in ("voltage", "overruns"))
+    return tuple(name for name in numbers if getattr(limits, name) is not None)

@@ -106,6 +106,21 @@ class Line:
         self._unsettled = True
         return None
 
+    def gather(self, packet: bytes, seconds: float) -> list[Packet]:
+        """Send ``packet`` and take every status packet that comes within ``seconds``."""
+        self.settle()
+        self._port.clear()
+        self._parser.clear()
+        self.send(packet)
+        found: list[Packet] = []
+        deadline = time.monotonic() + seconds
+        while data := self._port.receive(deadline):
+            self.counts.bytes_received += len(data)
+            found += [p for p in self._parser.feed(data) if p.instruction == Instruction.STATUS]
+            if time.monotonic() > deadline:
+                break
+        return found
+
     def settle(self) -> None:
         """After a timeout, let a late answer pass before the next instruction."""
         if not self._unsettled:

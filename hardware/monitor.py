@@ -60,7 +60,7 @@ class Monitor:
 
     def at_health(self) -> None:
         """Watchdog, hardware errors, temperature and voltage."""
-        health, limits = self._hand.health(), self._hand.limits
+        health = self._hand.health()
         if health.watchdog.any():
             self._happen(
                 Event.WATCHDOG,
@@ -73,8 +73,8 @@ class Monitor:
             self._happen(
                 Event.ALERT, f"servo {self.servos(health.limp)} has lost its torque: reset"
             )
-        hot = health.temperature >= limits.temperature
-        low, high = limits.voltage
+        hot = health.temperature >= self._hand.hot
+        low, high = self._hand.voltage
         bad = hot | (health.voltage < low) | (health.voltage > high)
         if not bad.any():
             self._unhealthy_since = None

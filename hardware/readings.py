@@ -51,7 +51,7 @@ class Ping(NamedTuple):
     """Answer to a ping.
 
     Attributes:
-        model: model number; 1030 is the XM430-W210.
+        model: model number; those that are known: `hardware.models`.
         firmware: version.
         error: error byte of the answer; bit 0x80 is the alert.
     """
@@ -73,6 +73,7 @@ class Readings:
         alert: which of the answers carried the alert bit (a hardware error), ``(n,)``.
         error: error numbers of the answers without the alert bit, ``(n,)`` int; 0 where missing.
         time: when the answer was in, by `time.monotonic` [s].
+        scale: SI units per raw unit, of each servo where their models differ.
     """
 
     register: Register
@@ -82,11 +83,12 @@ class Readings:
     alert: Bools
     error: np.ndarray
     time: float
+    scale: Floats | float
 
     @property
     def value(self) -> Floats:
         """SI values, ``(n,)`` in the register's unit; NaN where missing."""
-        return np.where(self.ok, self.raw * self.register.scale, np.nan)
+        return np.where(self.ok, self.raw * self.scale, np.nan)
 
     @property
     def missing(self) -> tuple[int, ...]:
@@ -129,7 +131,30 @@ def cut_readings(
         kind = f"<{'i' if register.signed else 'u'}{register.size}"
         column = np.ascontiguousarray(block[:, at : at + register.size])
         raw = column.view(kind)[:, 0].astype(np.int64)
-        found.append(Readings(register, ids, raw, ok, (error & ALERT) != 0, error & ~ALERT, now))
+        found.append(
+            Readings(
+                register, ids, raw, ok, (error & ALERT) != 0, error & ~ALERT, now, register.scale
+            )
+        )
+    return found
+
+
+def joined(
+    registers: Sequence[Register],
+    ids: tuple[int, ...],
+    parts: Sequence[tuple[Sequence[int], Sequence[Readings]]],
+) -> list[Readings]:
+    """Readings of servos of several models as one: (rows, readings of those rows) of each."""
+    found = []
+    for k, register in enumerate(registers):
+        raw, error = np.zeros((2, len(ids)), np.int64)
+        ok, alert = np.zeros((2, len(ids)), bool)
+        scale, now = np.ones(len(ids)), 0.0
+        for rows, readings in parts:
+            part, at = readings[k], list(rows)
+            raw[at], error[at], ok[at], alert[at] = part.raw, part.error, part.ok, part.alert
+            scale[at], now = part.scale, max(now, part.time)
+        found.append(Readings(register, ids, raw, ok, alert, error, now, scale))
     return found
 
 

@@ -7,7 +7,8 @@ current-based position mode,
 
 with P and D from the gain registers (divisors from the maker's manual). The manual does not say in
 which units the two terms count. Assumed here: error in ticks, speed in ticks per millisecond,
-result in current units of 2.69 mA. `LoopScale` holds this assumption as two numbers, so that a
+result in the servo's current units, 2.69 mA for an XM430 (in PWM units where a servo measures no
+current). `LoopScale` holds this assumption as two numbers, so that a
 step response on a real servo can correct them; P = 1139 and P = 3600 then mean what they mean on
 that servo, not on another one's table of defaults.
 """
@@ -31,10 +32,12 @@ MILLISECOND = 1e-3
 class LoopScale:
     """What a servo makes of its gain registers.
 
+    The drive is a current [A], or the share of full voltage where a servo measures no current.
+
     Attributes:
-        torque_constant: of the shaft, a field of the calibration [N m/A].
-        position: current per tick of error at a proportional gain of one [A].
-        speed: current per tick/ms of speed at a derivative gain of one [A].
+        torque_constant: torque per drive, a field of the calibration [N m/A], [N m].
+        position: drive per tick of error at a proportional gain of one.
+        speed: drive per tick/ms of speed at a derivative gain of one.
     """
 
     torque_constant: float = TORQUE_CONSTANT
@@ -77,7 +80,7 @@ class ServoGains(NamedTuple):
     Attributes:
         p: position P gain.
         d: position D gain.
-        current: goal current.
+        current: what bounds the drive: goal current, or goal PWM.
         profile_velocity: 0 is unlimited.
     """
 
@@ -87,22 +90,25 @@ class ServoGains(NamedTuple):
     profile_velocity: int
 
 
-def to_servo(gains: SimGains, scale: LoopScale | None = None) -> ServoGains:
+def to_servo(
+    gains: SimGains, scale: LoopScale | None = None, limit: R.Register = R.CURRENT_LIMIT
+) -> ServoGains:
     """Register values that make a servo behave like a MuJoCo actuator, each rounded to the nearest.
 
     Args:
         gains: of the actuator.
         scale: of the servo; default: the assumption at the head of this module.
+        limit: the register that bounds the servo's drive.
 
     Raises:
         InvalidInput: a number that is not finite, is negative, or that no register can hold.
     """
     scale = scale if scale is not None else LoopScale()
-    ampere = scale.torque_constant * R.AMPERES
+    unit = scale.torque_constant * limit.scale
     return ServoGains(
         p=_register("kp", gains.kp, scale.stiffness, R.POSITION_P_GAIN, "N m/rad"),
         d=_register("kv", gains.kv, scale.damping, R.POSITION_D_GAIN, "N m s/rad"),
-        current=_register("torque_limit", gains.torque_limit, ampere, R.CURRENT_LIMIT, "N m"),
+        current=_register("torque_limit", gains.torque_limit, unit, limit, "N m"),
         profile_velocity=_register(
             "speed_limit", gains.speed_limit, R.RADIANS_PER_SECOND, R.PROFILE_VELOCITY, "rad/s"
         ),

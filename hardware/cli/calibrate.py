@@ -26,7 +26,7 @@ from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus
-from hardware.calibration import TORQUE_CONSTANT, TURN, Calibration
+from hardware.calibration import TURN, Calibration
 from hardware.cli.options import HandOptions
 from hardware.emulator import Emulator
 from hardware.exceptions import ServoError
@@ -49,7 +49,7 @@ def from_poses(
     hand: HandModel,
     poses: dict[str, Floats],
     servo: NDArray[np.int64],
-    torque_constant: float = TORQUE_CONSTANT,
+    torque_constant: Floats | float = np.nan,
 ) -> Calibration:
     """The calibration that three poses say.
 
@@ -57,7 +57,7 @@ def from_poses(
         hand: the model; ranges are kept within its own.
         poses: servo angles ``(d,)`` [rad] at "zero", "upper" and "lower".
         servo: IDs, ``(d,)``.
-        torque_constant: of all servos [N m/A].
+        torque_constant: of all servos, or of each [N m/A], [N m]; NaN: that of their models.
 
     Raises:
         InvalidInput: a joint has not been moved, or zero is not between its ends.
@@ -81,7 +81,7 @@ def from_poses(
         zero=np.mod(poses["zero"], TURN),
         lower=lower,
         upper=upper,
-        torque_constant=np.full(hand.nq, float(torque_constant)),
+        torque_constant=np.broadcast_to(torque_constant, hand.nq).astype(float),
     )
 
 
@@ -112,8 +112,8 @@ class Calibrate(HandOptions):
 
     out: Path = Path("calibration.toml")
     """The file to write."""
-    torque_constant: float = TORQUE_CONSTANT
-    """Torque per current of the servos [N m/A]; the default is from the data sheet."""
+    torque_constant: float | None = None
+    """Torque per current of the servos [N m/A]; none: by their models' data sheets."""
     seed: int = 0
     """Seed of the emulated signs and zeros."""
     json: Switch = False
@@ -122,14 +122,16 @@ class Calibrate(HandOptions):
 
     def run(self) -> int:
         self.check()
-        if not 0.01 <= self.torque_constant <= 100:
-            raise InvalidInput(f"--torque-constant is {self.torque_constant}; expected 0.01 to 100")
+        constant = np.nan if self.torque_constant is None else self.torque_constant
+        if self.torque_constant is not None and not 0.01 <= constant <= 100:
+            raise InvalidInput(f"--torque-constant is {constant}; expected 0.01 to 100")
         if not self.out.expanduser().absolute().parent.is_dir():
             raise InvalidInput(f"--out is {str(self.out)!r}; its folder does not exist")
+        self.discover()
         model, before = self.load()
         with self._person(model, before) as person:
             poses = {name: person.pose(name) for name in _POSES}
-        found = from_poses(model, poses, before.servo, self.torque_constant)
+        found = from_poses(model, poses, before.servo, constant)
         odd = odd_travels(model, poses)
         found.save(self.out)
         if self.json:
@@ -147,7 +149,9 @@ class Calibrate(HandOptions):
         if self.emulate:
             yield _EmulatedPerson(model, ids, self.seed)
             return
-        with Bus(self.find_port(), ids, baudrate=self.baudrate) as bus:
+        assert self.port is not None
+        assert self.baudrate is not None
+        with Bus(self.port, ids, baudrate=self.baudrate) as bus:
             _release(bus)
             yield _RealPerson(model, bus)
 

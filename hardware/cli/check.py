@@ -18,9 +18,11 @@ from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus
 from hardware.cli.options import HandOptions
+from hardware.discovery import Found
 from hardware.exceptions import ServoError
 from hardware.hand import ServoHand
-from hardware.registers import MODEL_NUMBER, describe_hardware_error
+from hardware.models import BY_NUMBER, MODELS, XM430_W210, ServoModel, known_numbers
+from hardware.registers import OperatingMode, describe_hardware_error
 from hardware.state_machine import Torque
 from hardware.ticker import Interrupts, spread
 
@@ -35,6 +37,7 @@ _HINT = "slow bus: set the USB adapter's latency timer to 1 ms and the servos' r
 class Check(HandOptions):
     """Look at every servo; with --move, move one joint at a time.
 
+    Port, speed, IDs and models are found by asking where they are not given.
     Nothing moves and no torque is on unless --move is given. Exit code 1 where something is wrong.
     """
 
@@ -52,8 +55,11 @@ class Check(HandOptions):
         if self.reboot is not None and not 0 <= self.reboot <= 252:
             raise InvalidInput(f"--reboot is {self.reboot}; expected an ID from 0 to 252")
         folder = None if self.out is None else make_folder(self.out)
+        found = self.discover()
         with self.open(self.limits(), 0.02) as session:
             look = _Look(session.hand)
+            if found is not None:
+                look.at_chain(found)
             if self.reboot is not None:
                 session.bus.reboot(self.reboot)
                 notes().print(f"servo {self.reboot} restarted; it counts turns anew")
@@ -77,6 +83,7 @@ class _Look:
     """What has been found."""
 
     hand: ServoHand
+    baudrate: int | None = None
     rows: list[dict[str, Any]] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     silent: list[int] = field(default_factory=list)
@@ -84,6 +91,15 @@ class _Look:
     fast: bool | None = None
     moved: list[dict[str, Any]] = field(default_factory=list)
     torque: str = ""
+
+    def at_chain(self, found: Found) -> None:
+        """Servos on the line that the hand has no joint for."""
+        self.baudrate = found.baudrate
+        mine = self.hand.calibration.servo.tolist()
+        if extra := sorted(set(found.servos) - set(mine)):
+            self.problems.append(
+                f"servo {', '.join(map(str, extra))} on this line: the hand has no joint for it"
+            )
 
     def at_servos(self, bus: Bus) -> None:
         """Ping each by itself, then ask those that are there."""
@@ -97,11 +113,13 @@ class _Look:
                 self.silent.append(servo)
                 self.problems.append(f"servo {servo} ({joint}) does not answer")
                 continue
+            known = BY_NUMBER.get(ping.model)
             row |= {"model": ping.model, "firmware": ping.firmware}
-            if ping.model != MODEL_NUMBER:
+            row["model_name"] = known.name if known else f"model {ping.model}"
+            if known is None:
                 self.problems.append(
-                    f"servo {servo} ({joint}) has model {ping.model}; expected {MODEL_NUMBER}, an "
-                    "XM430-W210"
+                    f"servo {servo} ({joint}) has model {ping.model}; expected one of "
+                    f"{known_numbers()}"
                 )
             voltage, temperature, error = (
                 bus.read(register, [servo])
@@ -114,19 +132,19 @@ class _Look:
             row["voltage_v"] = float(voltage.value[0])
             row["temperature_c"] = float(temperature.value[0])
             row["error"] = describe_hardware_error(int(error.raw[0])) if error.ok[0] else "?"
-            self._judge(row)
+            self._judge(row, known or XM430_W210)
 
-    def _judge(self, row: dict[str, Any]) -> None:
+    def _judge(self, row: dict[str, Any], model: ServoModel) -> None:
         limits, who = self.hand.limits, f"servo {row['servo']} ({row['joint']})"
         if row["error"]:
             self.problems.append(
                 f"{who}: {row['error']}; remove the cause, then: dexctl hardware check --reboot "
                 f"{row['servo']}"
             )
-        low, high = limits.voltage
+        low, high = limits.voltage or model.voltage
         if not low <= row["voltage_v"] <= high:
             self.problems.append(f"{who}: {row['voltage_v']:.1f} V; expected {low} to {high}")
-        if not row["temperature_c"] < limits.temperature:
+        if not row["temperature_c"] < (limits.temperature or model.hot):
             self.problems.append(f"{who}: {row['temperature_c']:.0f} C")
 
     def at_settings(self) -> None:
@@ -140,18 +158,20 @@ class _Look:
         bus, ids = self.hand.bus, self.hand.calibration.servo.tolist()
         read = {
             "mode": registers.OPERATING_MODE,
-            "current_limit_a": registers.CURRENT_LIMIT,
+            "drive_limit": registers.CURRENT_LIMIT,
             "temperature_limit_c": registers.TEMPERATURE_LIMIT,
             "least_voltage_v": registers.MIN_VOLTAGE_LIMIT,
             "most_voltage_v": registers.MAX_VOLTAGE_LIMIT,
             "return_delay_s": registers.RETURN_DELAY,
         }
         columns = {name: bus.read(register, ids).value for name, register in read.items()}
-        constant = self.hand.calibration.torque_constant
+        constant = self.hand.torque_constant
         for i, row in enumerate(self.rows):
             row["position_rad"] = float(sample.q[i])
             row |= {name: float(values[i]) for name, values in columns.items()}
-            row["torque_limit_nm"] = row["current_limit_a"] * float(constant[i])
+            row["torque_limit_nm"] = row["drive_limit"] * float(constant[i])
+            if self.hand.models[i].mode is OperatingMode.CURRENT_BASED_POSITION:
+                row["current_limit_a"] = row["drive_limit"]
 
     def at_cycle(self, bus: Bus) -> None:
         """Time of reading currents, velocities and positions of all servos and writing goals."""
@@ -242,6 +262,7 @@ class _Look:
         return {
             "command": "check",
             "port": self.hand.bus.port,
+            "baudrate": self.baudrate,
             "latency_timer_s": self.hand.bus.latency_timer,
             "servos": self.rows,
             "cycle_s": self.cycle,
@@ -256,14 +277,18 @@ class _Look:
         console = results()
         timer = self.hand.bus.latency_timer
         known = "" if timer is None else f", latency timer {1e3 * timer:.0f} ms"
+        if self.baudrate is not None:
+            known = f", {self.baudrate} bit/s{known}"
         console.print(f"port {self.hand.bus.port}{known}", soft_wrap=True)
         numbers = ("model", "fw", "V", "C", "rad", "mode", "N m", "C max")
-        rows = table("servo", "joint", *numbers, "error", right=("servo", *numbers))
+        right = ("servo", *numbers[1:])
+        rows = table("servo", "joint", *numbers, "error", right=right)
+        rows.columns[2].min_width = max(len(model.name) for model in MODELS)
         for row in self.rows:
             rows.add_row(
                 str(row["servo"]),
                 row["joint"],
-                str(row.get("model", "silent")),
+                str(row.get("model_name", "silent")),
                 str(row.get("firmware", "")),
                 f"{row['voltage_v']:.1f}" if "voltage_v" in row else "",
                 f"{row['temperature_c']:.0f}" if "temperature_c" in row else "",

@@ -19,16 +19,20 @@ from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware.bus import Bus
 from hardware.calibration import Calibration
+from hardware.discovery import BAUD_RATES, Found, discover, find_baudrate
 from hardware.emulated_touch import EmulatedTactile
 from hardware.emulator import Emulator
 from hardware.emulator.dynamics import LONGEST_LATENCY
 from hardware.hand import ServoHand
 from hardware.limits import Limits
+from hardware.models import XM430_W210, ServoModel
+from hardware.models import model as servo_model
+from hardware.registers import CURRENT_LIMIT
 from hardware.run_report import RunReport
 from hardware.scene import EMPTY, NOTHING, OF_A_REAL_HAND
 from hardware.state_machine import Event
 from hardware.tactile import SerialTactile, TactileSource
-from hardware.units import ServoGains, SimGains, to_servo
+from hardware.units import SimGains, to_servo
 
 _TIMEOUT = 0.01  # beyond the time on the wire, until a servo counts as silent [s]
 _LATE = (
@@ -67,11 +71,14 @@ class HandOptions:
     """Run against emulated servos instead of a hand."""
     calibration: Path | None = None
     """File that `dexctl hardware calibrate` wrote; none: servos 1 to d, mounted straight."""
-    baudrate: int = 4_000_000
-    """Speed of the bus [bit/s]."""
+    baudrate: int | None = None
+    """Speed of the bus [bit/s]; none: the one at which the servos answer, 4 M first."""
+    servo_model: tuple[str, ...] = (XM430_W210.name,)
+    """Models of the emulated servos, one for all or one each; real ones say it themselves."""
     patience: float = 1.0
     """Allow so many times more silence, age and overruns, 1 to 10: to emulate on a busy machine."""
     scene: Annotated[SceneConfig, only(EMPTY, "hand", "stiffness", "damping", "limits")] = EMPTY
+    _ids = None  # of the servos in the order of the joints, where they were discovered
 
     def check(self) -> None:
         """Names and files first: they cost nothing.
@@ -81,7 +88,12 @@ class HandOptions:
         """
         if self.emulate and self.port is not None:
             raise InvalidInput(f"--emulate and --port {self.port} are given; expected one of them")
+        models = self.emulated_models()
         if not self.emulate:
+            if models != [XM430_W210]:
+                raise InvalidInput(
+                    "--servo-model: servos say themselves what they are; expected --emulate with it"
+                )
             given = [path for path in self._given() if path not in OF_A_REAL_HAND]
             if given:
                 raise InvalidInput(
@@ -94,7 +106,16 @@ class HandOptions:
             )
         if self.calibration is not None:
             Calibration.load(self.calibration)
-        self.gains(self.limits())
+        for model in models:
+            to_servo(self.gains(self.limits()), model.loop, model.register(CURRENT_LIMIT))
+
+    def emulated_models(self) -> list[ServoModel]:
+        """The models of the emulated servos.
+
+        Raises:
+            UnknownName: there is no such model.
+        """
+        return [servo_model(name) for name in self.servo_model]
 
     def _given(self) -> list[str]:
         """The settings of the scene that are not as the command has them by itself."""
@@ -114,23 +135,23 @@ class HandOptions:
         assert torque is not None
         return Limits(speed_limit=speed, torque_limit=torque).patient(self.patience)
 
-    def gains(self, limits: Limits) -> ServoGains:
-        """Register values of stiffness and damping.
+    def gains(self, limits: Limits) -> SimGains:
+        """Stiffness, damping and limits, of which each servo's registers are made.
 
         Raises:
-            InvalidInput: no register can hold one of them.
+            InvalidInput: one of them is none.
         """
         stiffness, damping = self.scene.stiffness, self.scene.damping
         if stiffness is None or damping is None:
             name = "stiffness" if stiffness is None else "damping"
             raise InvalidInput(f"{flags([name])} is none; expected a number, which servos are told")
-        return to_servo(SimGains(stiffness, damping, limits.torque_limit, limits.speed_limit))
+        return SimGains(stiffness, damping, limits.torque_limit, limits.speed_limit)
 
     def load(self) -> tuple[HandModel, Calibration]:
         """The hand and how its joints lie on the servos."""
         model = hands.load(self.scene.hand)
         if self.calibration is None:
-            return model, Calibration.nominal(model)
+            return model, Calibration.nominal(model, self._ids)
         return model, Calibration.load(self.calibration).check(model)
 
     def find_port(self) -> str:
@@ -146,6 +167,22 @@ class HandOptions:
             known = ", ".join(found) or "none"
             raise InvalidInput(f"--port is not given; expected one of the ports here: {known}")
         return found[0]
+
+    def discover(self) -> Found | None:
+        """Find port, speed and IDs, and go on with them; None where servos are emulated.
+
+        Raises:
+            InvalidInput: no servo answers anywhere.
+        """
+        if self.emulate:
+            return None
+        where = [self.port] if self.port is not None else ports()
+        rates = BAUD_RATES if self.baudrate is None else (self.baudrate,)
+        found = discover(where, rates, self.patience * _TIMEOUT)
+        self.port, self.baudrate = found.port, found.baudrate
+        if self.calibration is None and len(found.servos) == hands.load(self.scene.hand).nq:
+            self._ids = sorted(found.servos)
+        return found
 
     @contextmanager
     def open(
@@ -173,7 +210,9 @@ class HandOptions:
             emulator, source, grasp = None, None, None
             if self.emulate:
                 emulator = stack.enter_context(
-                    emulate(calibration, held or self.scene, held is not None, seed)
+                    emulate(
+                        calibration, held or self.scene, held is not None, seed, self.servo_model
+                    )
                 )
                 found = emulator.grasp()
                 grasp = None if found is None else np.array(found)
@@ -187,7 +226,11 @@ class HandOptions:
             port = emulator.port if emulator is not None else self.find_port()
             timeout = self.patience * (_TIMEOUT if emulator is None else _EMULATED_TIMEOUT)
             ids = [int(servo) for servo in calibration.servo]
-            bus = stack.enter_context(Bus(port, ids, baudrate=self.baudrate, timeout=timeout))
+            baudrate = self.baudrate
+            if baudrate is None:  # where nobody answers, the run will say who is silent
+                found = None if self.emulate else find_baudrate(port, ids, timeout)
+                baudrate = BAUD_RATES[0] if found is None else found
+            bus = stack.enter_context(Bus(port, ids, baudrate=baudrate, timeout=timeout))
             hand = ServoHand(
                 bus,
                 model,
@@ -206,8 +249,14 @@ def flags(settings: Iterable[str]) -> str:
     return ", ".join(f"--{name}" for name in names)
 
 
-def emulate(calibration: Calibration, scene: SceneConfig, mujoco: bool, seed: int) -> Emulator:
-    """Emulated servos that are mounted as ``calibration`` says."""
+def emulate(
+    calibration: Calibration,
+    scene: SceneConfig,
+    mujoco: bool,
+    seed: int,
+    models: tuple[str, ...] = (XM430_W210.name,),
+) -> Emulator:
+    """Emulated servos of these models that are mounted as ``calibration`` says."""
     zeros = np.round(calibration.zero / (2 * np.pi / 4096)).astype(int) % 4096
     middle = np.clip(0.0, calibration.lower, calibration.upper)
     return Emulator(
@@ -219,6 +268,7 @@ def emulate(calibration: Calibration, scene: SceneConfig, mujoco: bool, seed: in
         dynamics="mujoco" if mujoco else "first-order",
         scene=scene,
         seed=seed,
+        models=models,
     )
 
 

@@ -22,6 +22,7 @@ from hardware.emulator.chain import Chain
 from hardware.emulator.config import EmulatorConfig
 from hardware.emulator.dynamics import FirstOrderJoints, Joints
 from hardware.emulator.server import Server, say
+from hardware.models import model
 
 _PRIORITY = 40  # below the runner's
 
@@ -56,7 +57,11 @@ def _chain(config: EmulatorConfig) -> Chain:
     joints = _joints(config)
     _check(config, len(joints.q))
     joints.set_action_latency(config.scene.limits.action_latency)
-    return Chain(joints, config.ids, config.zeros, config.signs, config.fast)
+    names = config.models * (len(joints.q) if len(config.models) == 1 else 1)
+    if len(names) != len(joints.q):
+        raise InvalidInput(f"{len(names)} models; expected one, or one for each of {len(joints.q)}")
+    models = [model(name) for name in names]
+    return Chain(joints, config.ids, config.zeros, config.signs, config.fast, models)
 
 
 def _keep_time() -> None:
@@ -72,7 +77,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for whoever drives the servos
     try:
         config = from_plain(EmulatorConfig, json.loads(sys.argv[1]) if sys.argv[1:] else {})
-        server = Server(partial(_chain, config), config.manual, config.seed)
+        server = Server(partial(_chain, config), config.manual, config.seed, config.baudrate)
     except (DexctlError, json.JSONDecodeError) as error:
         say({"error": str(error)})
         return 2

@@ -10,6 +10,7 @@ import numpy as np
 from hardware import registers as R  # noqa: N812
 from hardware.emulator.dynamics import Joints
 from hardware.emulator.servo import Servo
+from hardware.models import XM430_W210, ServoModel
 from hardware.protocol import BROADCAST, Instruction, Packet, build_fast_status, build_status
 from hardware.registers import StatusError
 
@@ -33,6 +34,7 @@ class Chain:
         zeros: ticks that each shows where its shaft is at 0 rad; default half a turn.
         signs: +1 or -1, which way each is mounted.
         fast: whether they know fast reads (older firmware does not).
+        models: of the servos, one each; default XM430-W210.
     """
 
     def __init__(
@@ -42,6 +44,7 @@ class Chain:
         zeros: Sequence[int] | None = None,
         signs: Sequence[int] | None = None,
         fast: bool = True,
+        models: Sequence[ServoModel] | None = None,
     ) -> None:
         count = len(joints.q)
         numbers = list(ids) if ids is not None else list(range(1, count + 1))
@@ -50,7 +53,8 @@ class Chain:
         self.joints = joints
         self.fast = fast
         self.silent: set[int] = set()
-        self.servos = [Servo(numbers[i], joints, i, at[i], way[i]) for i in range(count)]
+        kinds = list(models) if models is not None else [XM430_W210] * count
+        self.servos = [Servo(numbers[i], joints, i, at[i], way[i], kinds[i]) for i in range(count)]
         self.now = 0.0
         self._found: dict[int, Servo] = {}
 

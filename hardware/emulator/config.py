@@ -11,10 +11,14 @@ from hardware.scene import HOLDING
 
 @dataclass(frozen=True, kw_only=True)
 class EmulatorConfig:
-    """Emulated XM430-W210 servos on a pseudo-terminal."""
+    """Emulated servos on a pseudo-terminal."""
 
     servos: int = 15
     """How many, for first-order joints; the MuJoCo hand brings its own number."""
+    models: tuple[str, ...] = ("XM430-W210",)
+    """Their models: one for all, or one for each."""
+    baudrate: int | None = None
+    """The only speed at which they hear [bit/s]; none: any, as a pseudo-terminal does."""
     ids: tuple[int, ...] | None = None
     """Their IDs; default 1 to n."""
     zeros: tuple[int, ...] | None = None

@@ -80,14 +80,14 @@ class Commands:
         )
 
 
-def servo_stiffness(p_gain: float) -> float:
-    """Torque per radian [N m/rad] that the emulated servo makes of its P gain register."""
-    return p_gain / P_DIVISOR * AMPERES * TORQUE_CONSTANT / RADIANS_PER_TICK
+def servo_stiffness(p_gain: float, unit: float = AMPERES * TORQUE_CONSTANT) -> float:
+    """Torque per radian [N m/rad] of a P gain register; ``unit``: torque per count of the drive."""
+    return p_gain / P_DIVISOR * unit / RADIANS_PER_TICK
 
 
-def servo_damping(d_gain: float) -> float:
-    """Torque per speed [N m s/rad] that the emulated servo makes of its D gain register."""
-    return d_gain / D_DIVISOR * AMPERES * TORQUE_CONSTANT / (RADIANS_PER_TICK * 1000)
+def servo_damping(d_gain: float, unit: float = AMPERES * TORQUE_CONSTANT) -> float:
+    """Torque per speed [N m s/rad] of a D gain register; ``unit`` as for the stiffness."""
+    return d_gain / D_DIVISOR * unit / (RADIANS_PER_TICK * 1000)
 
 
 class Joints(ABC):

@@ -36,14 +36,22 @@ class Server:
         manual: time stands still but for ``{"do": "advance", "seconds": s}``; else it is the
             clock's.
         seed: of faults that strike at random.
+        baudrate: what the other end must have set to be heard [bit/s]; None: anything.
 
     Attributes:
         chain: the servos.
         port: path of the pseudo-terminal; None while unplugged.
     """
 
-    def __init__(self, build: Callable[[], Chain], manual: bool = False, seed: int = 0) -> None:
+    def __init__(
+        self,
+        build: Callable[[], Chain],
+        manual: bool = False,
+        seed: int = 0,
+        baudrate: int | None = None,
+    ) -> None:
         self._build, self._seed = build, seed
+        self._speed = None if baudrate is None else _speed(baudrate)
         self._time = time.monotonic
         self._reset()
         self.port: str | None = None
@@ -117,6 +125,8 @@ class Server:
         except (BlockingIOError, OSError):
             return
         self._tick()
+        if self._speed is not None and termios.tcgetattr(self._master)[5] != self._speed:
+            return  # at another speed it is noise
         for packet in self._parser.feed(data):
             self._packets += 1
             answers = self.chain.handle(packet)
@@ -179,6 +189,14 @@ class Server:
             return {"ok": True, "result": self._commands[name](**asked)}
         except (DexctlError, ValueError, TypeError) as error:
             return {"ok": False, "error": str(error)}
+
+
+def _speed(baudrate: int) -> int:
+    """The terminal's own number for a speed."""
+    found = getattr(termios, f"B{baudrate}", None)
+    if found is None:
+        raise InvalidInput(f"baudrate is {baudrate}; no terminal has it")
+    return found
 
 
 def say(message: dict[str, Any]) -> None:

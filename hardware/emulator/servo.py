@@ -1,4 +1,4 @@
-"""One emulated XM430-W210: its control table, the rules for writing it, and its errors."""
+"""One emulated servo: its model's control table, the rules for writing it, and its errors."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ import struct
 
 from hardware import registers as R  # noqa: N812 (as short as a table of addresses wants it)
 from hardware.emulator.dynamics import (
-    TORQUE_CONSTANT,
+    STALL_TORQUE,
     UNLIMITED,
     Joints,
     servo_damping,
     servo_stiffness,
 )
+from hardware.models import XM430_W210, ServoModel
 from hardware.registers import ALERT, HardwareError, OperatingMode, Register, StatusError
 
 BOOT_TIME = 0.1  # s of silence after a reboot (ours: the manual gives none)
-POWER_LOSS = 6.5  # V below which the electronics go off (ours)
+POWER_LOSS = 0.65  # share of the lowest supply below which the electronics go off (ours)
 WATCHDOG_TRIPPED = -1
-_AT = {register.address: register for register in R.REGISTERS}
 _GOALS = (R.GOAL_PWM, R.GOAL_CURRENT, R.GOAL_VELOCITY, R.GOAL_POSITION)
+_GOAL_ADDRESSES = frozenset(register.address for register in _GOALS)
 _PRESENT = struct.Struct("<HBBhhiiii")  # realtime tick (120) to position trajectory (140)
 _LIMITED_BY = {
     R.GOAL_PWM.address: R.PWM_LIMIT,
@@ -39,14 +40,28 @@ class Servo:
         row: which of them is this servo's.
         zero: ticks that it shows where its shaft is at 0 rad.
         sign: +1 or -1: which way it is mounted.
+        model: which servo it is.
     """
 
-    def __init__(self, number: int, joints: Joints, row: int, zero: int, sign: int) -> None:
+    def __init__(
+        self,
+        number: int,
+        joints: Joints,
+        row: int,
+        zero: int,
+        sign: int,
+        model: ServoModel = XM430_W210,
+    ) -> None:
         self.joints, self.row, self.sign = joints, row, sign
+        self.model = model
+        self._at = {register.address: register for register in model.registers}
+        self._measures_current = R.CURRENT_LIMIT.address in self._at
+        # torque per count of the drive, in full voltage's share where there is no current
+        self._unit = model.torque_constant * model.register(R.GOAL_CURRENT).scale
         self._zero = zero
         self._turns = 0
-        self.table = bytearray(R.TABLE_SIZE)
-        for register in R.REGISTERS:
+        self.table = bytearray(model.registers[-1].end)
+        for register in model.registers:
             self.put(register, register.default)
         self.put(R.SERVO_ID, number)
         self.put(R.BAUD_RATE, R.BAUD_RATES.index(4_000_000))
@@ -87,7 +102,7 @@ class Servo:
         """(error byte, data) of ``size`` bytes from ``address``."""
         if size == 0:
             return StatusError.DATA_LENGTH | self.error, b""
-        if address + size > R.TABLE_SIZE:
+        if address + size > len(self.table):
             return StatusError.ACCESS | self.error, b""
         if address + size > R.REALTIME_TICK.address:
             self._show(now)
@@ -100,7 +115,7 @@ class Servo:
         if not data:
             return StatusError.DATA_LENGTH | self.error
         while at < end:
-            register = _AT.get(at)
+            register = self._at.get(at)
             if register is None:
                 return StatusError.ACCESS | self.error
             if register.end > end:
@@ -114,7 +129,7 @@ class Servo:
         for register, raw in fields:
             self.put(register, raw)
             self._after_write(register, raw)
-        if len(fields) == 1 and fields[0][0] is R.GOAL_POSITION:  # what every control step writes
+        if len(fields) == 1 and fields[0][0] == R.GOAL_POSITION:  # what every control step writes
             self.joints.commands.goal[self.row] = self._shaft(fields[0][1])
         else:
             self._command()
@@ -125,17 +140,18 @@ class Servo:
             return StatusError.ACCESS
         if register.eeprom and self.table[R.TORQUE_ENABLE.address]:
             return StatusError.ACCESS
-        if register in _GOALS and self.get(R.BUS_WATCHDOG) == WATCHDOG_TRIPPED:
+        at = register.address
+        if at in _GOAL_ADDRESSES and self.get(R.BUS_WATCHDOG) == WATCHDOG_TRIPPED:
             return StatusError.DATA_RANGE
         if not register.low <= raw <= register.high:
             return StatusError.DATA_RANGE
-        if register is R.OPERATING_MODE and raw not in list(OperatingMode):
+        if at == R.OPERATING_MODE.address and raw not in self._modes:
             return StatusError.DATA_RANGE
-        if register is R.DRIVE_MODE and raw != 0:
+        if at == R.DRIVE_MODE.address and raw != 0:
             return StatusError.DATA_RANGE
-        if register is R.TORQUE_ENABLE and raw and self._shutdown:
+        if at == R.TORQUE_ENABLE.address and raw and self._shutdown:
             return StatusError.RESULT_FAIL
-        if register is R.GOAL_POSITION and self.get(R.OPERATING_MODE) == OperatingMode.POSITION:
+        if at == R.GOAL_POSITION.address and self.get(R.OPERATING_MODE) == OperatingMode.POSITION:
             low, high = self.get(R.MIN_POSITION_LIMIT), self.get(R.MAX_POSITION_LIMIT)
             return 0 if low <= raw <= high else StatusError.DATA_LIMIT
         bound = _LIMITED_BY.get(register.address)
@@ -144,12 +160,20 @@ class Servo:
         return 0
 
     def _after_write(self, register: Register, raw: int) -> None:
-        if register is R.OPERATING_MODE:  # the manual: goals and gains fall back to their defaults
-            for other in (*_GOALS, R.PROFILE_VELOCITY, R.PROFILE_ACCELERATION):
+        if register.address == R.OPERATING_MODE.address:
+            # the manual: goals and gains fall back to their defaults
+            for other in (R.PROFILE_VELOCITY, R.PROFILE_ACCELERATION):
                 self.put(other, other.default)
             self._default_goals()
-        elif register is R.BUS_WATCHDOG:
+        elif register.address == R.BUS_WATCHDOG.address:
             self.joints.commands.stopped[self.row] = False
+
+    @property
+    def _modes(self) -> tuple[OperatingMode, ...]:
+        if self._measures_current:
+            return tuple(OperatingMode)
+        with_current = (OperatingMode.CURRENT, OperatingMode.CURRENT_BASED_POSITION)
+        return tuple(mode for mode in OperatingMode if mode not in with_current)
 
     # -- the shaft --------------------------------------------------------------------------
 
@@ -167,8 +191,9 @@ class Servo:
         j, i, sign = self.joints, self.row, self.sign
         speed = round(sign * float(j.velocity[i]) / R.RADIANS_PER_SECOND)
         wanted = round(sign * float(j.reference_speed[i]) / R.RADIANS_PER_SECOND)
-        current = round(sign * float(j.torque[i]) / (TORQUE_CONSTANT * R.AMPERES))
-        current = min(max(current, -32768), 32767)
+        drive = sign * float(j.torque[i]) / self.model.torque_constant
+        present = self.model.register(R.PRESENT_CURRENT)
+        current = min(max(round(drive / present.scale), -32768), 32767)
         moving = abs(speed) > self.table[R.MOVING_THRESHOLD.address]
         _PRESENT.pack_into(
             self.table,
@@ -176,7 +201,7 @@ class Servo:
             int(now * 1000) % 32768,
             moving,
             0,
-            min(max(current, -885), 885),
+            min(max(round(885 * float(sign * j.torque[i]) / self.model.stall_torque), -885), 885),
             current,
             _int32(speed),
             _int32(self.ticks(float(j.measured[i]))),
@@ -189,23 +214,25 @@ class Servo:
         c, i = self.joints.commands, self.row
         mode = self.get(R.OPERATING_MODE)
         stopped = self.get(R.BUS_WATCHDOG) == WATCHDOG_TRIPPED
-        # a negative goal current bounds the position loop like a positive one (its size counts)
-        bound = (
-            abs(self.get(R.GOAL_CURRENT))
-            if mode == OperatingMode.CURRENT_BASED_POSITION
-            else (self.get(R.CURRENT_LIMIT))
-        )
-        goal_current = 0 if stopped else self.get(R.GOAL_CURRENT)
+        unit, goal = self._unit, self.get(self.model.register(R.GOAL_CURRENT))
+        # a negative goal current bounds the position loop like a positive one (its size counts);
+        # what a servo without current control is bounded by in every mode is its goal PWM
+        if mode == OperatingMode.CURRENT_BASED_POSITION or not self._measures_current:
+            bound = abs(goal)
+        else:
+            bound = self.get(R.CURRENT_LIMIT)
+        goal_current = 0 if stopped else goal
         speed, acceleration = self.get(R.PROFILE_VELOCITY), self.get(R.PROFILE_ACCELERATION)
         c.torque_on[i] = self.table[R.TORQUE_ENABLE.address] != 0
         c.mode[i] = mode
         c.goal[i] = self._shaft(self.get(R.GOAL_POSITION))
         c.goal_speed[i] = self.sign * self.get(R.GOAL_VELOCITY) * R.RADIANS_PER_SECOND
-        c.goal_torque[i] = self.sign * goal_current * R.AMPERES * TORQUE_CONSTANT
-        c.duty[i] = 0 if stopped else self.sign * self.get(R.GOAL_PWM) / R.PWM_LIMIT.high
-        c.kp[i] = servo_stiffness(self.get(R.POSITION_P_GAIN))
-        c.kd[i] = servo_damping(self.get(R.POSITION_D_GAIN))
-        c.limit[i] = bound * R.AMPERES * TORQUE_CONSTANT
+        c.goal_torque[i] = self.sign * goal_current * unit
+        duty = 0 if stopped else self.sign * self.get(R.GOAL_PWM) / R.PWM_LIMIT.high
+        c.duty[i] = duty * self.model.stall_torque / STALL_TORQUE
+        c.kp[i] = servo_stiffness(self.get(R.POSITION_P_GAIN), unit)
+        c.kd[i] = servo_damping(self.get(R.POSITION_D_GAIN), unit)
+        c.limit[i] = min(bound * unit, self.model.stall_torque)
         c.speed[i] = speed * R.RADIANS_PER_SECOND or UNLIMITED
         c.acceleration[i] = acceleration * R.PROFILE_ACCELERATION.scale or UNLIMITED
         c.stopped[i] = stopped
@@ -242,11 +269,12 @@ class Servo:
         before = self.get(R.PRESENT_VOLTAGE)
         raw = round(volts / R.PRESENT_VOLTAGE.scale)
         self.put(R.PRESENT_VOLTAGE, raw)
-        if volts < POWER_LOSS:
+        lost = POWER_LOSS * self.model.voltage[0]
+        if volts < lost:
             self.silent_until = float("inf")
             self.put(R.TORQUE_ENABLE, 0)
             self._command()
-        elif before * R.PRESENT_VOLTAGE.scale < POWER_LOSS:
+        elif before * R.PRESENT_VOLTAGE.scale < lost:
             self.reboot(now)
         elif not self.get(R.MIN_VOLTAGE_LIMIT) <= raw <= self.get(R.MAX_VOLTAGE_LIMIT):
             self.fail(HardwareError.INPUT_VOLTAGE)
@@ -265,9 +293,9 @@ class Servo:
         self._command()
 
     def _boot(self) -> None:
-        keep = (R.PRESENT_VOLTAGE, R.PRESENT_TEMPERATURE)
-        for register in R.REGISTERS:
-            if not register.eeprom and register not in keep:
+        keep = (R.PRESENT_VOLTAGE.name, R.PRESENT_TEMPERATURE.name)
+        for register in self.model.registers:
+            if not register.eeprom and register.name not in keep:
                 self.put(register, register.default)
         self.pending = None
         self._shutdown = False
@@ -277,7 +305,8 @@ class Servo:
 
     def _default_goals(self) -> None:
         self.put(R.GOAL_POSITION, _int32(self.ticks(float(self.joints.q[self.row]))))
-        self.put(R.GOAL_CURRENT, self.get(R.CURRENT_LIMIT))
+        if self._measures_current:
+            self.put(R.GOAL_CURRENT, self.get(R.CURRENT_LIMIT))
         self.put(R.GOAL_VELOCITY, self.get(R.VELOCITY_LIMIT))
         self.put(R.GOAL_PWM, self.get(R.PWM_LIMIT))
 

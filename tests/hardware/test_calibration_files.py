@@ -26,9 +26,6 @@ def test_by_hand(nominal: Calibration) -> None:
     servo = flipped.servo_angle(np.full(15, 0.25), np.zeros(15))
     assert servo[0] == pytest.approx(np.pi + 0.25)
     assert servo[1] == pytest.approx(0.75)
-    # 0.5 N m at 1.3 N m/A is 0.3846 A, 143 units of 2.69 mA
-    assert round(float(nominal.current(0.5)[0]) / 2.69e-3) == 143
-    assert nominal.current(100.0).max() <= 1193 * 2.69e-3
 
 
 @given(

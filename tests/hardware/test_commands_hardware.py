@@ -27,6 +27,7 @@ from hardware.hand import ServoHand
 from hardware.log import LogWriter, read_log
 from hardware.motions import Replay, Sine, StepAndChirp, lag
 from hardware.report import build
+from hardware.units import to_servo
 from learning import policies
 
 # A real-time loop: on a machine that others keep busy its deadlines pass, as they should.
@@ -114,7 +115,7 @@ def test_the_servos_are_told_what_they_always_were() -> None:
     for options in (HandOptions(), Run(controller="igm")):
         limits = options.limits()
         assert (limits.speed_limit, limits.torque_limit) == (0.6, 0.5)
-        assert options.gains(limits) == (168, 1053, 143, 25)
+        assert to_servo(options.gains(limits)) == (168, 1053, 143, 25)
     assert Run(controller="igm").scene.sensing.touch_threshold == 1.0
 
 
