@@ -75,5 +75,5 @@ class Limits:
 
 
 def _numbers(limits: Limits) -> tuple[str, ...]:
-    numbers = (f.name for f in fields(limits) if f.name not in ("voltage", "overruns"))
-    return tuple(name for name in numbers if getattr(limits, name) is not None)
+    other = {"voltage", "overruns"} | ({"temperature"} if limits.temperature is None else set())
+    return tuple(f.name for f in fields(limits) if f.name not in other)

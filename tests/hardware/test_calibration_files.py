@@ -80,7 +80,7 @@ def test_the_file_comes_back(nominal: Calibration, tmp_path: Path) -> None:
         ("sign = 1", "sing = 1", r"\[\[joint\]\] number 1 has"),
         ("servo = 2\n", "servo = 1\n", "servo 1 has several joints"),
         ("servo = 1\n", "servo = 253\n", "servo of joint f1_roll is 253; expected an ID"),
-        ("torque_constant = 1.3", "torque_constant = 0", "torque_constant of joint f1_roll is 0"),
+        ("torque_constant = nan", "torque_constant = 0", "torque_constant of joint f1_roll is 0"),
         ("zero = 3", "zero = nan #", "zero of joint f1_roll is nan"),
         ("zero = 3", "zero = true #", "zero of f1_roll is True"),
         ("lower = -0.7", "lower = 0.8", "upper of joint f1_roll is 0.7; expected above lower"),

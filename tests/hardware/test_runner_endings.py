@@ -76,7 +76,7 @@ def as_torque_comes_on(hand: ServoHand, deed: Callable[[], object]) -> None:
             deed()
         return sent
 
-    hand.bus.write = writing  # type: ignore[method-assign]
+    hand.bus.write = writing
 
 
 @pytest.mark.parametrize("silent", [(7,), ALL])
@@ -110,7 +110,7 @@ def test_a_servo_that_comes_back_is_known_to_be_off(emulator: Emulator, hand: Se
 
     def blink() -> None:
         emulator.silence(*ALL)
-        hand.bus.read = reading  # type: ignore[method-assign]
+        hand.bus.read = reading
 
     as_torque_comes_on(hand, blink)
     with pytest.raises(ServoError, match="torque off, confirmed by all 15 servos"):
@@ -119,7 +119,7 @@ def test_a_servo_that_comes_back_is_known_to_be_off(emulator: Emulator, hand: Se
 
 
 def test_a_setting_that_cannot_be_says_that_the_torque_is_off(hand: ServoHand) -> None:
-    hand.calibration.lower[:] = 0.5  # type: ignore[index]
+    hand.calibration.lower[:] = 0.5
     with pytest.raises(InvalidInput, match=r"out of its range .*; torque off, confirmed by all 15"):
         Runner(hand, Still(hand.hand, control_period=0.02), needs_tactile=False).run(0.2)
 

@@ -256,7 +256,7 @@ def test_a_model_that_nobody_has_described(dex5: dexctl.HandModel) -> None:
                 found.raw[4] = 350
             return found
 
-        bus.read = other  # type: ignore[method-assign]
+        bus.read = other
         with pytest.raises(ServoError, match=r"servo 5 has model 350; expected one of XM430-W210"):
             bus.identify()
 
