@@ -29,11 +29,13 @@ class _Part(Protocol):
         """How far it reaches from its centre [m]."""
         ...
 
-    def distance(self, points: Floats) -> Floats: ...
+    def closest(self, points: Floats) -> tuple[Floats, Floats]:
+        """Signed distances ``(n,)`` and the outward normals where the surface is nearest."""
+        ...
 
-    def bound(self, points: Floats) -> Floats: ...
-
-    def normal(self, points: Floats) -> Floats: ...
+    def bound(self, points: Floats) -> Floats:
+        """See `Shape.bound`."""
+        ...
 
     def crossings(self, start: Floats, along: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Where lines enter and leave, in units of ``along``, and the outward normals there.
@@ -57,22 +59,20 @@ class _Sphere:
     def extent(self) -> float:
         return self.radius
 
-    def distance(self, points: Floats) -> Floats:
+    def bound(self, points: Floats) -> Floats:
         return np.linalg.norm(points, axis=-1) - self.radius
 
-    bound = distance
-
-    def normal(self, points: Floats) -> Floats:
-        return _unit(points, np.array([0.0, 0.0, 1.0]))
+    def closest(self, points: Floats) -> tuple[Floats, Floats]:
+        return self.bound(points), _unit(points, np.array([0.0, 0.0, 1.0]))
 
     def crossings(self, start: Floats, along: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         enter, leave = _roots(start, along, self.radius)
         hits = (start + np.where(np.isfinite(t), t, 0.0)[:, None] * along for t in (enter, leave))
-        first, last = (self.normal(hit) for hit in hits)
+        first, last = (self.closest(hit)[1] for hit in hits)
         return enter, leave, first, last
 
     def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, float]:
-        points = self.radius * self.normal(rng.normal(size=(count, 3)))
+        points = self.radius * self.closest(rng.normal(size=(count, 3)))[1]
         return points, 4 * np.pi * self.radius**2
 
     def scaled(self, factor: float) -> _Sphere:
@@ -90,27 +90,25 @@ class _Cylinder:
     def extent(self) -> float:
         return float(np.hypot(self.radius, self.half))
 
-    def distance(self, points: Floats) -> Floats:
+    def bound(self, points: Floats) -> Floats:
         side, end = self._sides(points)
         outside = np.hypot(np.maximum(side, 0.0), np.maximum(end, 0.0))
         return outside + np.minimum(np.maximum(side, end), 0.0)
 
-    bound = distance
-
-    def normal(self, points: Floats) -> Floats:
+    def closest(self, points: Floats) -> tuple[Floats, Floats]:
         side, end = self._sides(points)
         out = (side > 0) | (end > 0)
         weight_side = np.where(out, np.maximum(side, 0.0), side >= end)
         weight_end = np.where(out, np.maximum(end, 0.0), side < end)
         radial = _unit(points * [1.0, 1.0, 0.0], np.array([1.0, 0.0, 0.0]))
         axial = np.where(points[:, 2:] < 0, -1.0, 1.0) * [0.0, 0.0, 1.0]
-        return _unit(weight_side[:, None] * radial + weight_end[:, None] * axial, radial)
+        normal = _unit(weight_side[:, None] * radial + weight_end[:, None] * axial, radial)
+        return self.bound(points), normal
 
     def _sides(self, points: Floats) -> tuple[Floats, Floats]:
-        return (
-            np.hypot(points[:, 0], points[:, 1]) - self.radius,
-            np.abs(points[:, 2]) - self.half,
-        )
+        """How far outside of the mantle and of the nearer end."""
+        across = np.hypot(points[..., 0], points[..., 1])
+        return across - self.radius, np.abs(points[..., 2]) - self.half
 
     def crossings(self, start: Floats, along: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         around = _roots(start[:, :2], along[:, :2], self.radius)
@@ -157,20 +155,20 @@ class _Hull:
     def bound(self, points: Floats) -> Floats:
         """The distance to the furthest plane: exact inside and over faces, else less."""
         normals, offsets, _ = self._faces
-        return (points @ normals.T + offsets).max(axis=-1)
+        # planes first: the maximum over few columns would take ten times as long
+        height = normals @ points.reshape(-1, 3).T + offsets[:, None]
+        return height.max(axis=0).reshape(points.shape[:-1])
 
-    def distance(self, points: Floats) -> Floats:
-        distance = self.bound(points)
-        out = distance > 0
-        distance[out] = np.linalg.norm(points[out] - self._nearest(points[out]), axis=-1)
-        return distance
-
-    def normal(self, points: Floats) -> Floats:
+    def closest(self, points: Floats) -> tuple[Floats, Floats]:
         normals, offsets, _ = self._faces
-        facing = normals[(points @ normals.T + offsets).argmax(axis=-1)]
-        out = self.bound(points) > 1e-9
-        facing[out] = _unit(points[out] - self._nearest(points[out]), facing[out])
-        return facing
+        height = normals @ points.T + offsets[:, None]
+        first = height.argmax(axis=0)
+        distance, normal = height[first, np.arange(len(points))], normals[first]
+        out = np.flatnonzero(distance > 1e-9)
+        away = points[out] - self._nearest(points[out])
+        distance[out] = np.linalg.norm(away, axis=-1)
+        normal[out] = _unit(away, normal[out])
+        return distance, normal
 
     def _nearest(self, points: Floats) -> Floats:
         """The nearest points of the surface to points outside."""
@@ -229,9 +227,7 @@ class Shape:
 
         Exact outside; inside of several parts at once, that to the nearest surface of one.
         """
-        flat = np.asarray(points, float).reshape(-1, 3)
-        each = [part.distance(flat - centre) for part, centre in self.parts]
-        return np.min(each, axis=0).reshape(np.shape(points)[:-1])
+        return self._closest(points)[0]
 
     def bound(self, points: Floats) -> Floats:
         """As `distance`, but cheap: less than it outside of a hull's edges and corners."""
@@ -241,17 +237,21 @@ class Shape:
 
     def normal(self, points: Floats) -> Floats:
         """Outward unit normals ``(..., 3)`` where the surface is nearest to each point."""
-        flat = np.asarray(points, float).reshape(-1, 3)
-        nearest = np.argmin([part.distance(flat - c) for part, c in self.parts], axis=0)
-        found = np.empty_like(flat)
-        for i, (part, centre) in enumerate(self.parts):
-            found[nearest == i] = part.normal(flat[nearest == i] - centre)
-        return found.reshape(np.shape(points))
+        return self._closest(points)[1]
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats]:
         """The nearest points of the surface and the outward normals there, ``(..., 3)`` each."""
-        normal = self.normal(points)
-        return points - self.distance(points)[..., None] * normal, normal
+        distance, normal = self._closest(points)
+        return points - distance[..., None] * normal, normal
+
+    def _closest(self, points: Floats) -> tuple[Floats, Floats]:
+        flat = np.asarray(points, float).reshape(-1, 3)
+        distance, normal = np.full(len(flat), np.inf), np.zeros_like(flat)
+        for part, centre in self.parts:
+            away, out = part.closest(flat - centre)
+            normal = np.where((away < distance)[:, None], out, normal)
+            distance = np.minimum(distance, away)
+        return distance.reshape(np.shape(points)[:-1]), normal.reshape(np.shape(points))
 
     def ray(self, start: Floats, along: Floats) -> tuple[Floats, Floats]:
         """The first surface that rays ``(..., 3)`` cross, from outside or from inside.
@@ -284,7 +284,7 @@ class Shape:
         for (part, centre), share in zip(self.parts, areas / areas.sum(), strict=True):
             found = part.sample(max(1, round(count * share)), rng)[0]
             points.append(found + centre)
-            normals.append(part.normal(found))
+            normals.append(part.closest(found)[1])
         point, normal = np.concatenate(points), np.concatenate(normals)
         free = self.bound(point + 1e-5 * normal) > 0  # not where two parts meet
         return point[free], normal[free]
@@ -358,20 +358,19 @@ def _nearest_on_triangles(points: Floats, triangles: Floats) -> Floats:
     The projection on the plane where it falls inside, else the nearest of the three edges.
     """
     a, b, c = np.swapaxes(triangles, 0, 1)
-    best = np.full((len(points), len(a)), np.inf)
-    found = np.zeros((len(points), len(a), 3))
-    for start, end in ((a, b), (b, c), (c, a)):
+    edges = ((a, b), (b, c), (c, a))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), _TINY)
+    foot = points[:, None] - ((points[:, None] - a) * normal).sum(-1)[..., None] * normal
+    inside = np.ones(foot.shape[:-1], bool)
+    for start, end in edges:
+        inside &= ((foot - start) * np.cross(normal, end - start)).sum(-1) >= 0
+    best, found = np.where(inside, 0.0, np.inf), foot
+    for start, end in edges:
         edge = end - start
         share = ((points[:, None] - start) * edge).sum(-1) / np.maximum((edge**2).sum(-1), _TINY)
         near = start + np.clip(share, 0.0, 1.0)[..., None] * edge
         away = ((near - points[:, None]) ** 2).sum(-1)
         found = np.where((away < best)[..., None], near, found)
         best = np.minimum(away, best)
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), _TINY)
-    height = ((points[:, None] - a) * normal).sum(-1)
-    foot = points[:, None] - height[..., None] * normal
-    inside = np.ones(height.shape, bool)
-    for start, end in ((a, b), (b, c), (c, a)):
-        inside &= (np.cross(end - start, foot - start) * normal).sum(-1) >= 0
-    return np.where(inside[..., None], foot, found)
+    return found
