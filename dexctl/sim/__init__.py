@@ -17,13 +17,15 @@ if TYPE_CHECKING:
     from dexctl.sim.limited_hand import LimitedHand
     from dexctl.sim.objects import object_names
     from dexctl.sim.pushes import Push
-    from dexctl.sim.record import Recorder
+    from dexctl.sim.record import Recorder, draw_failure
     from dexctl.sim.scene import Scene
     from dexctl.sim.scene_config import SceneConfig
     from dexctl.sim.sensing import Sensing
+    from dexctl.sim.settle_failure import SettleFailure
     from dexctl.sim.simulation import Simulation
     from dexctl.sim.simulator import BatchSimulator, SimulatorState
     from dexctl.sim.state_rows import StateRows
+    from dexctl.sim.suggest import SuggestedGrasp
     from dexctl.sim.trial import Trace, rotation_about, run
     from dexctl.sim.viewer import Viewer
 
@@ -39,11 +41,14 @@ __all__ = [
     "Scene",
     "SceneConfig",
     "Sensing",
+    "SettleFailure",
     "Simulation",
     "SimulatorState",
     "StateRows",
+    "SuggestedGrasp",
     "Trace",
     "Viewer",
+    "draw_failure",
     "object_names",
     "rotation_about",
     "run",
@@ -56,13 +61,15 @@ _HOMES = {
     "limited_hand": ("LimitedHand",),
     "objects": ("object_names",),
     "pushes": ("Push",),
-    "record": ("Recorder",),
+    "record": ("Recorder", "draw_failure"),
     "scene": ("Scene",),
     "scene_config": ("SceneConfig",),
     "sensing": ("Sensing",),
+    "settle_failure": ("SettleFailure",),
     "simulation": ("Simulation",),
     "simulator": ("BatchSimulator", "SimulatorState"),
     "state_rows": ("StateRows",),
+    "suggest": ("SuggestedGrasp",),
     "trial": ("Trace", "rotation_about", "run"),
     "viewer": ("Viewer",),
 }

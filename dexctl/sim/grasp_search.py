@@ -102,6 +102,9 @@ class GraspSearch:
         base: posture of the joints of fingers that are left out ``(d,)`` [rad].
         torque: of each joint ``(d,)`` [N m], infinite where unknown.
         grip: normal force of a finger [N].
+        friction: coefficient between fingertips and object.
+        weight: of the object [N].
+        twist: that the object is wanted to move with, ``(6,)`` (linear, angular), of any size.
         seed: of what is drawn.
     """
 
@@ -112,6 +115,9 @@ class GraspSearch:
     base: Floats
     torque: Floats
     grip: float
+    friction: float = 1.0
+    weight: float = 1.0
+    twist: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     seed: int = 0
 
     def run(self, placements: int = 240, keep: int = 48) -> Contacts | None:

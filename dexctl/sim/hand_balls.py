@@ -12,7 +12,6 @@ from dexctl.state import Bools, Floats
 
 _SPACING = 0.016  # of balls on a surface [m]
 _MOST = 64  # balls of one mesh
-_OBJECT = "object"
 
 
 class HandBalls:
@@ -20,25 +19,27 @@ class HandBalls:
     boxes, cylinders and meshes by points of their surface.
 
     Args:
-        model: compiled, with the hand and perhaps the body "object", which is left out.
+        model: compiled, with the hand and an object.
         hand: its kinematics.
+        object_body: name of the object's body, which is left out.
 
     Attributes:
+        fingers: how many fingertips the hand has.
         radius: ``(b,)`` [m].
         finger: whose link each is on, ``(b,)``; -1: the palm, and what several fingers share.
         tip: which are on a fingertip's body, ``(b,)`` bool.
     """
 
-    def __init__(self, model: mujoco.MjModel, hand: HandModel) -> None:
+    def __init__(self, model: mujoco.MjModel, hand: HandModel, object_body: str = "object") -> None:
         self._model, self._data = model, mujoco.MjData(model)
+        self._object = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, object_body)
         joints = [model.joint(name).id for name in hand.joint_names]
         self._columns = model.jnt_qposadr[joints]
         self._followers = followers(model)
         owner = _owners(model, hand)
-        object_body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, _OBJECT)
         bodies, offsets, radii = [], [], []
         solid = (model.geom_contype | model.geom_conaffinity) != 0
-        for geom in np.flatnonzero(solid & (model.geom_bodyid != object_body)):
+        for geom in np.flatnonzero(solid & (model.geom_bodyid != self._object)):
             centres, radius = _balls(model, int(geom))
             bodies += [int(model.geom_bodyid[geom])] * len(centres)
             offsets.append(centres)
@@ -47,6 +48,7 @@ class HandBalls:
         self._offset = np.concatenate(offsets) if offsets else np.zeros((0, 3))
         self.radius = np.array(radii)
         self.finger = owner[self._body]
+        self.fingers = hand.n_fingers
         tips = [model.body(name).id for name in hand.fingertip_bodies]
         self.tip: Bools = np.isin(self._body, tips)
 
@@ -69,9 +71,7 @@ class HandBalls:
         data.qpos[self._columns] = q
         set_followers(data.qpos, self._followers)
         mujoco.mj_fwdPosition(model, data)
-        own = model.geom_bodyid[data.contact.geom] != mujoco.mj_name2id(
-            model, mujoco.mjtObj.mjOBJ_BODY, _OBJECT
-        )
+        own = model.geom_bodyid[data.contact.geom] != self._object
         return bool((own.all(axis=-1) & (data.contact.dist < -depth)).any())
 
 

@@ -14,6 +14,7 @@ from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.sim import checks
 from dexctl.sim.offscreen import Offscreen
 from dexctl.sim.scene import Scene
+from dexctl.sim.settle_failure import SettleFailure
 from dexctl.sim.visuals import CAMERA, colour_fingertips, fingertip_geoms, visual_model
 from dexctl.state import Bools, Floats
 
@@ -102,6 +103,10 @@ class Recorder:
             self._due += self._period
         self._last = (time, qpos, touching)
 
+    def show(self, qpos: Floats, touching: Bools) -> None:
+        """Look at a posture ``(nq,)`` instead of a simulator, for `picture`."""
+        self._last = (0.0, np.asarray(qpos, float), np.asarray(touching, bool))
+
     def picture(self, path: str | Path | None = None) -> NDArray[np.uint8]:
         """What was seen last, ``(height, width, 3)``; saved as a PNG file where a path is given.
 
@@ -162,6 +167,21 @@ class Recorder:
         mujoco.mjv_updateScene(model, data, self._option, None, self._camera, every, drawn)
         colour_fingertips(drawn, self._tips, touching)
         return self._offscreen.draw((self.caption, ""))
+
+
+def draw_failure(failure: SettleFailure, path: str | Path) -> None:
+    """Draw what came closest to holding the object into a PNG file, fingertips that touch lit.
+
+    Raises:
+        MissingExtra, SimulationError: nothing to draw with; the message says what is missing.
+    """
+    best = failure.closest
+    with Recorder(failure.scene, None) as recorder:
+        if best is not None:
+            recorder.caption = best.reason
+        qpos = failure.scene.model.qpos0 if best is None else best.qpos
+        recorder.show(qpos, failure.reached)
+        recorder.picture(path)
 
 
 def _imageio() -> ModuleType:

@@ -22,6 +22,7 @@ from dexctl.state import Floats
 
 if TYPE_CHECKING:
     from dexctl.sim.settle import SettledGrasp
+    from dexctl.sim.suggest import SuggestedGrasp
 
 
 class Scene:
@@ -37,10 +38,12 @@ class Scene:
         object_width: [m], 0 for a mesh that keeps its own size.
         grasp_centre: where the object is held, ``(3,)`` [m].
         open_q: the open hand, ``(d,)`` [rad].
+        grasp_q: the hand about to touch the object, ``(d,)`` [rad]; None: found when it settles.
         grip: normal force that each finger of the settled grasp aims at [N].
         object_body: name of the object's body and joint in `model`: "object", unless the hand's
             file has one of that name.
-        notes: what the hand's file lacks for a simulation, and what was done about it.
+        notes: what the hand's file lacks for a simulation, and what was done about it; which grasp
+            was chosen where nobody says one.
         model: the MuJoCo model that is stepped: no visual geoms, contact sensors added.
         qpos_columns, qvel_columns: the hand's d joints in ``qpos`` and ``qvel``.
         object_qpos: the object's pose in ``qpos``: position, quaternion wxyz.
@@ -65,6 +68,7 @@ class Scene:
         grasp_centre: Floats,
         open_q: Floats,
         grip: float,
+        grasp_q: Floats | None = None,
         object_body: str = "object",
         notes: tuple[str, ...] = (),
     ) -> None:
@@ -75,6 +79,7 @@ class Scene:
         self.gravity = gravity
         self.grasp_centre = grasp_centre
         self.open_q = open_q
+        self.grasp_q = grasp_q
         self.grip = grip
         self.object_body = object_body
         self.notes = notes
@@ -87,33 +92,40 @@ class Scene:
     def build(
         cls,
         hand: HandModel | str,
-        object: str = "cube",  # noqa: A002 (the field's name for it)
+        object: str | None = None,  # noqa: A002 (the field's name for it)
         gravity: str | ArrayLike = "up",
         *,
         object_mass: float = 0.1,
         object_size: float | None = None,
         friction: float | ArrayLike = 1.0,
+        mesh: str | Path | None = None,
         object_mesh: str | Path | None = None,
         grasp_centre: ArrayLike | None = None,
         open_q: ArrayLike | Mapping[str, float] | None = None,
+        grasp_q: ArrayLike | Mapping[str, float] | None = None,
         grip: float = 2.0,
     ) -> Scene:
         """Put a hand and an object into one scene.
 
         Args:
             hand: the hand, its name, or its file.
-            object: one of `object_names`, or "mesh" with ``object_mesh``.
+            object: one of `object_names`, or "mesh" with ``mesh``. Default: "cube", or "mesh"
+                where one is given.
             gravity: "up" (the palm looks up), "down", or a vector ``(3,)`` [m/s^2].
             object_mass: [kg].
             object_size: width of the object [m]. Default: what suits the hand; a mesh keeps its
                 own size.
             friction: sliding coefficient of the object, or (sliding, torsional [m], rolling [m]).
-            object_mesh: STL or OBJ file of the object. MuJoCo uses its convex hull; decomposing a
+            mesh: STL or OBJ file of the object. MuJoCo uses its convex hull; decomposing a
                 concave object into convex parts is the user's part.
+            object_mesh: the same, by the name that it has in `SceneConfig`.
             grasp_centre: where the hand holds the object, ``(3,)`` [m]. Default: as the hand's
-                toml says.
+                toml says; where it says nothing, the first that `suggest_grasp` finds, with its
+                size and postures where these are not given (``notes`` says so).
             open_q: joints of the open hand, ``(d,)`` or by name [rad]. Default, and for joints
                 that are left out: as the hand's toml says, else the middle of each range.
+            grasp_q: joints with the fingertips about to touch the object, in the same forms.
+                Default: as the hand's toml says, else found when the grasp settles.
             grip: normal force that each finger of the settled grasp aims at [N].
 
         Raises:
@@ -122,53 +134,106 @@ class Scene:
             SimulationError: MuJoCo cannot compile the scene, or a joint has no position servo.
         """
         model = hands.load(hand) if isinstance(hand, str) else hand
-        held = model.config.object
+        name, file = _object(object, mesh, object_mesh)
+        held, postures, notes = model.config.object, model.config.postures, ()
+        mass = checks.positive("object_mass", object_mass)
         if object_size is not None:
             width = checks.positive("object_size", object_size)
         else:
-            width = 0.0 if object == MESH else held.size
+            width = 0.0 if name == MESH else held.size
         place = held.centre if grasp_centre is None else grasp_centre
         if place is None or width is None:
-            raise InvalidInput(
-                f"{model.name} does not say where and what it holds: say so in its toml, [object] "
-                "centre and size, or with grasp_centre=(x, y, z) and object_size, all in m"
-            )
+            from dexctl.sim.suggest import suggested
+
+            found = suggested(
+                model, name, gravity, mesh=file, object_mass=mass, object_size=width or None,
+                friction=friction, grip=grip, grasp_centre=place,
+            )  # fmt: skip
+            place, width, notes = found.centre, found.size, (found.note,)
+            open_q = found.open_q if open_q is None else open_q
+            grasp_q = found.grasp_q if grasp_q is None else grasp_q
         centre = checks.vector("grasp_centre", place, 3)
-        if open_q is None or isinstance(open_q, Mapping):
-            opened = model.posture({**model.config.postures.open, **(open_q or {})})
-        else:
-            opened = model.clip(checks.vector("open_q", open_q, model.nq))
-        mass = checks.positive("object_mass", object_mass)
-        spec, notes = hand_spec(model)
+        opened = _posture("open_q", model, postures.open, open_q)
+        closed = None
+        if grasp_q is not None or postures.grasp:
+            closed = _posture("grasp_q", model, {**postures.open, **postures.grasp}, grasp_q)
+        spec, changed = hand_spec(model)
         spec.option.gravity = checks.gravity_vector(gravity)
         others = _touchable_bodies(spec, model)
-        name = _free_name(spec)
-        body = spec.worldbody.add_body(name=name, pos=centre)
-        body.add_freejoint(name=name)
+        own_name = _free_name(spec)
+        body = spec.worldbody.add_body(name=own_name, pos=centre)
+        body.add_freejoint(name=own_name)
         add_object(
             spec,
             body,
-            object,
+            name,
             width=width,
             mass=mass,
             friction=_friction(friction),
-            mesh=object_mesh,
+            mesh=file,
         )
         _meet_everything(spec, body)
-        add_sensors(spec, model.fingertip_bodies, others, name)
+        add_sensors(spec, model.fingertip_bodies, others, own_name)
         return cls(
             model,
             spec,
-            object=object,
+            object=name,
             object_mass=mass,
             object_width=width,
             gravity=checks.gravity_vector(gravity),
             grasp_centre=centre,
             open_q=opened,
+            grasp_q=closed,
             grip=checks.positive("grip", grip),
-            object_body=name,
-            notes=notes,
+            object_body=own_name,
+            notes=(*changed, *notes),
         )
+
+    @staticmethod
+    def suggest_grasp(
+        hand: HandModel | str,
+        object: str | None = None,  # noqa: A002
+        *,
+        mesh: str | Path | None = None,
+        object_mass: float = 0.1,
+        object_size: float | None = None,
+        friction: float | ArrayLike = 1.0,
+        grasp_centre: ArrayLike | None = None,
+        grip: float = 2.0,
+        twist: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        count: int = 3,
+        tries: int = 12,
+        seed: int = 0,
+    ) -> tuple[SuggestedGrasp, ...]:
+        """Grasps that hold, best first: where, how large the object, and the hand's postures.
+
+        Places, sizes and postures are ranked by the kernel and settled, palm up and palm down;
+        `dexctl.sim.suggest` says how. Those that hold both ways come first.
+
+        Args:
+            hand: the hand, its name, or its file.
+            object, mesh, object_mass, friction, grip: as in `build`.
+            object_size: width of the object [m]; None: what suits the hand (a mesh keeps its own).
+            grasp_centre: where it is held, ``(3,)`` [m]; None: to be found.
+            twist: that the object is to be moved with, ``(6,)`` (linear, angular), hand frame; its
+                direction counts. Default: a turn about z.
+            count: how many grasps that hold both ways are enough.
+            tries: how many are settled, at most.
+            seed: of the search.
+
+        Raises:
+            SettleFailure: none holds; with the attempts of the best.
+            SimulationError: no place is in reach of three fingers with palm and links clear.
+        """
+        from dexctl.sim.suggest import suggest
+
+        model = hands.load(hand) if isinstance(hand, str) else hand
+        name, file = _object(object, mesh, None)
+        return suggest(
+            model, name, mesh=file, object_mass=object_mass, object_size=object_size,
+            friction=friction, grasp_centre=grasp_centre, grip=grip, twist=twist, count=count,
+            tries=tries, seed=seed,
+        )  # fmt: skip
 
     @property
     def spec(self) -> mujoco.MjSpec:
@@ -280,6 +345,28 @@ def _meet_everything(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
         bits |= int(geom.contype) | int(geom.conaffinity)
     for geom in body.geoms:
         geom.contype = geom.conaffinity = bits
+
+
+def _object(
+    name: str | None, mesh: str | Path | None, object_mesh: str | Path | None
+) -> tuple[str, str | Path | None]:
+    """The object's name, and its file where it is a mesh."""
+    if mesh is not None and object_mesh is not None and Path(mesh) != Path(object_mesh):
+        raise InvalidInput(f"mesh is {str(mesh)!r} and object_mesh {str(object_mesh)!r}; give one")
+    file = object_mesh if mesh is None else mesh
+    return (name or (MESH if mesh is not None else "cube")), file
+
+
+def _posture(
+    what: str,
+    hand: HandModel,
+    stated: Mapping[str, float],
+    given: ArrayLike | Mapping[str, float] | None,
+) -> Floats:
+    """Joints ``(d,)`` given as an array, or by name, which goes before what the hand states."""
+    if given is None or isinstance(given, Mapping):
+        return hand.posture({**stated, **(given or {})})
+    return hand.clip(checks.vector(what, given, hand.nq))
 
 
 def _friction(friction: float | ArrayLike) -> tuple[float, float, float]:

@@ -1,17 +1,19 @@
 """The settled grasp: where the fingers of any hand go so that the object stays.
 
-1. Each finger gets a point of the object's surface: on the horizontal ray through the object's
-   centre towards where the open hand has its fingertip.
+1. Each finger gets a point of the object's surface: the nearest one where the hand has a grasp
+   posture; else that on the horizontal ray through the object's centre towards where the open hand
+   has its fingertip; else one that the grasp search has found for it (`dexctl.sim.grasp_plans`).
 2. Inverse kinematics brings the tips to touch, from a little way out.
 3. The fingers close while the object is fixed to the world; their set-points are corrected until
    each presses with its share of the grip, shares that balance on the object.
 4. The object is let go and the grasp rests for a second.
 
-Where the object slips, it is tried turned about the vertical.
+Where the object slips, it is tried turned about the vertical, and with the next points.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
@@ -19,7 +21,13 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from dexctl.exceptions import SimulationError
+from dexctl.sim.grasp_plans import GraspPlan, posture_plans, searched_plans
+from dexctl.sim.grasp_search import GraspSearch
+from dexctl.sim.hand_balls import HandBalls, followers, set_followers
+from dexctl.sim.settle_failure import SettleAttempt, SettleFailure
+from dexctl.sim.shapes import Shape
 from dexctl.sim.tactile import TouchSensors
+from dexctl.sim.workspace import Workspace
 from dexctl.state import Floats
 
 if TYPE_CHECKING:
@@ -31,6 +39,7 @@ _PRESSING_TIME = 1.0  # [s]
 _SETTLING_TIME = 1.0  # [s]
 _YAWS = np.deg2rad([0.0, 9.0, 18.0, 30.0, 36.0, 45.0, 60.0, 90.0, 120.0, 150.0, 180.0])
 _WEAKEST_SHARE = 0.4  # no finger presses with less than this part of the strongest
+_RAYS = "on rays from its centre towards the open fingertips"
 
 
 class SettledGrasp(NamedTuple):
@@ -51,31 +60,70 @@ class SettledGrasp(NamedTuple):
     yaw: float
 
 
-def settle(scene: Scene) -> SettledGrasp:
+def settle(scene: Scene, *, thorough: bool = True) -> SettledGrasp:
     """Find the settled grasp of a scene.
 
+    Args:
+        scene: hand and object.
+        thorough: False: try nothing but the scene's grasp posture.
+
     Raises:
-        SimulationError: the object does not stay in the hand, whichever way it is turned.
+        SettleFailure: the object does not stay in the hand, whichever way it is turned.
     """
-    reasons = []
-    for yaw in _YAWS:
-        grasp, reason = _attempt(scene, float(yaw))
+    attempts = []
+    for yaw, plan in _plans(scene, thorough):
+        held = _HeldObject(scene, yaw)
+        try:
+            chosen = held.on_rays() if plan is None else plan
+        except SimulationError as error:  # no such ray, no such surface
+            attempts.append(held.attempt(_RAYS, str(error)))
+            continue
+        grasp, attempt = _attempt(scene, held, chosen)
         if grasp is not None:
             return grasp
-        reasons.append(f"turned by {np.rad2deg(yaw):.0f} deg: {reason}")
-    raise SimulationError(
-        f"{scene.hand.name} does not hold {scene.object!r} (width {scene.object_width:g} m, "
-        f"{scene.object_mass:g} kg) at {scene.grasp_centre.tolist()}: {reasons[0]}"
+        attempts.append(attempt)
+    raise SettleFailure(scene, tuple(attempts))
+
+
+def _plans(scene: Scene, thorough: bool) -> Iterator[tuple[float, GraspPlan | None]]:
+    """How the object is turned and where the fingers go; None: on rays towards the open hand."""
+    if scene.grasp_q is not None:
+        balls = HandBalls(scene.model, scene.hand, scene.object_body)
+        shape = Shape.of_body(scene.model, scene.object_body)
+        for plan in posture_plans(balls, shape, scene.grasp_centre, scene.grasp_q):
+            yield plan.yaw, plan
+    if not thorough:
+        return
+    for yaw in _YAWS:
+        yield float(yaw), None
+    for plan in searched_plans(_search(scene)):
+        yield plan.yaw, plan
+
+
+def _search(scene: Scene) -> GraspSearch:
+    """Of the object where it is, as large as it is."""
+    hand, lower, upper = scene.hand, scene.lower, scene.upper
+    return GraspSearch(
+        workspace=Workspace(scene.model, hand, lower, upper, scene.open_q, scene.object_body),
+        shape=Shape.of_body(scene.model, scene.object_body),
+        size=1.0,
+        centre=scene.grasp_centre,
+        base=scene.open_q,
+        torque=hand.effort,
+        grip=scene.grip,
+        friction=scene.friction(),
+        weight=scene.object_mass * float(np.linalg.norm(scene.gravity)),
     )
 
 
-def _attempt(scene: Scene, yaw: float) -> tuple[SettledGrasp | None, str]:
-    held = _HeldObject(scene, yaw)
-    points, normals = held.surface_points()
-    outside = held.reach(points, normals, _APPROACH)
-    touching = held.reach(points, normals, 0.0)
-    q_target = held.close(outside, touching, points, normals)
-    return _release(scene, held, q_target)
+def _attempt(
+    scene: Scene, held: _HeldObject, plan: GraspPlan
+) -> tuple[SettledGrasp | None, SettleAttempt]:
+    outside = held.reach(plan, _APPROACH)
+    touching = held.reach(plan, 0.0)
+    q_target = held.close(outside, touching, plan)
+    grasp, reason = _release(scene, held, q_target)
+    return grasp, held.attempt(plan.how, reason, touching)
 
 
 class _HeldObject:
@@ -94,6 +142,7 @@ class _HeldObject:
         self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(name).id for name in self.hand.joint_names]
         self.qpos_columns = self.model.jnt_qposadr[joints]
+        self.followers = followers(self.model)
         self.qvel_columns = self.model.jnt_dofadr[joints]
         self.sensors = TouchSensors(self.model, self.hand.n_fingers)
         body_id = self.model.body(scene.object_body).id
@@ -109,8 +158,8 @@ class _HeldObject:
                     f"{self.hand.path}: fingertip body {name!r} has no collision geom to touch with"
                 )
 
-    def surface_points(self) -> tuple[Floats, Floats]:
-        """One point of the surface per finger and the outward normal there, ``(m, 3)`` each."""
+    def on_rays(self) -> GraspPlan:
+        """One point of the surface per finger and the outward normal there."""
         model, data, centre = self.model, self.data, self.scene.grasp_centre
         mujoco.mj_kinematics(model, data)
         tips = self.hand.fingertip_positions(self.scene.open_q)
@@ -124,7 +173,8 @@ class _HeldObject:
                 )
             outward /= np.linalg.norm(outward)
             points[i], normals[i] = self._outermost(centre, outward)
-        return points, normals
+        everyone = np.ones(len(tips), bool)
+        return GraspPlan(_RAYS, 0.0, points, normals, everyone, self.scene.open_q)
 
     def _outermost(self, centre: Floats, outward: Floats) -> tuple[Floats, Floats]:
         """Where a ray from far outside towards ``centre`` first meets the object."""
@@ -150,13 +200,15 @@ class _HeldObject:
         size, kind = model.geom_size[geom], int(model.geom_type[geom])
         return mujoco.mju_rayGeom(position, rotation, size, start, direction, kind, normal)
 
-    def reach(self, points: Floats, normals: Floats, gap: float) -> Floats:
+    def reach(self, plan: GraspPlan, gap: float) -> Floats:
         """Joints ``(d,)`` that bring each fingertip's surface ``gap`` away from its point."""
-        q = self.scene.open_q.copy()
-        radius = np.full(len(points), 0.01)
+        q = plan.q.copy()
+        radius = np.full(len(plan.points), 0.01)
         for _ in range(4):
-            q = self._inverse_kinematics(q, points + (radius + gap)[:, None] * normals)
+            target = plan.points + (radius + gap)[:, None] * plan.normals
+            q = self._inverse_kinematics(q, target, plan)
             self.data.qpos[self.qpos_columns] = q
+            set_followers(self.data.qpos, self.followers)
             mujoco.mj_kinematics(self.model, self.data)
             radius += gap - self._gaps()
         return q
@@ -174,49 +226,56 @@ class _HeldObject:
             ]
         )
 
-    def _inverse_kinematics(self, q: Floats, target: Floats) -> Floats:
-        """Damped least squares with the open hand as the posture of what is left free."""
+    def _inverse_kinematics(self, q: Floats, target: Floats, plan: GraspPlan) -> Floats:
+        """Damped least squares with the plan's posture for what is left free."""
         hand, damping = self.hand, 1e-4
         for _ in range(60):
             configuration = hand.configuration(q)
             tips = configuration.fingertip_position
             error = (target - tips).ravel()
             jacobian = configuration.contact_jacobian(tips).reshape(-1, hand.nq)
+            if not plan.active.all():
+                rows = np.repeat(plan.active, 3)
+                error, jacobian = error * rows, jacobian * rows[:, None]
             inverse = jacobian.T @ np.linalg.inv(
                 jacobian @ jacobian.T + damping * np.eye(len(error))
             )
-            posture = 0.1 * (self.scene.open_q - q)
+            posture = 0.1 * (plan.q - q)
             free = posture - inverse @ (jacobian @ posture)
             step = inverse @ error + free
             q = np.clip(q + np.clip(step, -0.2, 0.2), self.scene.lower, self.scene.upper)
         return q
 
-    def shares(self, points: Floats, normals: Floats) -> Floats:
+    def shares(self, plan: GraspPlan) -> Floats:
         """Normal forces ``(m,)`` near the grip that leave the least wrench on the object [N].
 
         Least squares of the wrench (torques over the mean lever) with a small pull towards equal
-        forces, as in the thesis's stability QP.
+        forces, as in the thesis's stability QP. Fingers that are left out press with none.
         """
-        lever = points - self.scene.grasp_centre
+        lever = plan.points[plan.active] - self.scene.grasp_centre
         length = max(float(np.linalg.norm(lever, axis=1).mean()), 1e-3)
-        inward = -normals
+        inward = -plan.normals[plan.active]
         wrench = np.concatenate([inward.T, np.cross(lever, inward).T / length])
-        pull = 0.1 * np.eye(len(points))
+        pull = 0.1 * np.eye(len(lever))
         solution = lsq_linear(
             np.concatenate([wrench, pull]),
-            np.concatenate([np.zeros(6), 0.1 * np.ones(len(points))]),
+            np.concatenate([np.zeros(6), 0.1 * np.ones(len(lever))]),
             bounds=(_WEAKEST_SHARE, 1.0),
         )
-        return self.scene.grip * solution.x / solution.x.mean()
+        forces = np.zeros(len(plan.points))
+        forces[plan.active] = self.scene.grip * solution.x / solution.x.mean()
+        return forces
 
-    def close(self, outside: Floats, touching: Floats, points: Floats, normals: Floats) -> Floats:
+    def close(self, outside: Floats, touching: Floats, plan: GraspPlan) -> Floats:
         """Close the hand on the fixed object; returns the set-points ``(d,)`` that hold it."""
         scene, model, data = self.scene, self.model, self.data
+        points, normals = plan.points, plan.normals
         mujoco.mj_resetData(model, data)
         data.qpos[self.qpos_columns] = outside
-        goal = self.shares(points, normals)
-        weight = -scene.object_mass * scene.gravity / self.hand.n_fingers
-        press = -normals * goal[:, None] + weight
+        set_followers(data.qpos, self.followers)
+        goal = self.shares(plan)
+        weight = -scene.object_mass * scene.gravity / int(plan.active.sum())
+        press = -normals * goal[:, None] + weight * plan.active[:, None]
         steps = round(_CLOSING_TIME / model.opt.timestep)
         q_target = self._holding(touching, points, press)
         for i in range(steps):
@@ -246,6 +305,20 @@ class _HeldObject:
         torque = np.einsum("mkd,mk->d", self.hand.contact_jacobian(q, points), press) + carried
         return np.clip(q + torque / self.scene.stiffness, self.scene.lower, self.scene.upper)
 
+    def attempt(self, how: str, reason: str, touching: Floats | None = None) -> SettleAttempt:
+        """What came of it, with the hand in the posture ``touching`` that was to touch."""
+        gaps = np.full(self.hand.n_fingers, np.nan)
+        self.data.qpos[self.qpos_columns] = self.scene.open_q if touching is None else touching
+        set_followers(self.data.qpos, self.followers)
+        mujoco.mj_kinematics(self.model, self.data)
+        if touching is not None:
+            gaps = self._gaps()
+        qpos = self.scene.model.qpos0.copy()
+        qpos[np.delete(np.arange(len(qpos)), self.scene.object_qpos)] = self.data.qpos
+        qpos[self.scene.object_qpos] = self.pose
+        yaw = 2 * float(np.arctan2(self.pose[6], self.pose[3]))
+        return SettleAttempt(how, yaw, reason, gaps, qpos)
+
     def _step(self, q_target: Floats) -> None:
         self.data.ctrl[self.scene.actuators] = q_target * self.scene.ctrl_per_radian
         mujoco.mj_step(self.model, self.data)
@@ -255,8 +328,9 @@ def _release(scene: Scene, held: _HeldObject, q_target: Floats) -> tuple[Settled
     """Free the object and let the grasp rest; None and the reason where it does not hold."""
     model, hand = scene.model, scene.hand
     data = mujoco.MjData(model)
-    data.qpos[scene.qpos_columns] = held.data.qpos[held.qpos_columns]
-    data.qvel[scene.qvel_columns] = held.data.qvel[held.qvel_columns]
+    # the hand's joints, those that only follow others among them, are in the same order
+    data.qpos[np.delete(np.arange(model.nq), scene.object_qpos)] = held.data.qpos
+    data.qvel[np.delete(np.arange(model.nv), scene.object_qvel)] = held.data.qvel
     data.qpos[scene.object_qpos] = held.pose
     data.ctrl[scene.actuators] = q_target * scene.ctrl_per_radian
     steps = round(_SETTLING_TIME / model.opt.timestep)

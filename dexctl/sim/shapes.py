@@ -91,9 +91,7 @@ class _Cylinder:
         return float(np.hypot(self.radius, self.half))
 
     def bound(self, points: Floats) -> Floats:
-        side, end = self._sides(points)
-        outside = np.hypot(np.maximum(side, 0.0), np.maximum(end, 0.0))
-        return outside + np.minimum(np.maximum(side, end), 0.0)
+        return np.maximum(*self._sides(points))
 
     def closest(self, points: Floats) -> tuple[Floats, Floats]:
         side, end = self._sides(points)
@@ -103,7 +101,8 @@ class _Cylinder:
         radial = _unit(points * [1.0, 1.0, 0.0], np.array([1.0, 0.0, 0.0]))
         axial = np.where(points[:, 2:] < 0, -1.0, 1.0) * [0.0, 0.0, 1.0]
         normal = _unit(weight_side[:, None] * radial + weight_end[:, None] * axial, radial)
-        return self.bound(points), normal
+        outside = np.hypot(np.maximum(side, 0.0), np.maximum(end, 0.0))
+        return outside + np.minimum(np.maximum(side, end), 0.0), normal
 
     def _sides(self, points: Floats) -> tuple[Floats, Floats]:
         """How far outside of the mantle and of the nearer end."""
@@ -230,7 +229,7 @@ class Shape:
         return self._closest(points)[0]
 
     def bound(self, points: Floats) -> Floats:
-        """As `distance`, but cheap: less than it outside of a hull's edges and corners."""
+        """As `distance`, but cheap: less than it outside of edges and corners."""
         flat = np.asarray(points, float).reshape(-1, 3)
         each = [part.bound(flat - centre) for part, centre in self.parts]
         return np.min(each, axis=0).reshape(np.shape(points)[:-1])

@@ -23,6 +23,7 @@ BAND = 0.0025
 """How far from touching a fingertip counts as touching in the search [m]."""
 CLEAR = 0.002
 """How far links and palm keep from the object [m]."""
+_EDGE = 1e-6  # what distance and bound differ by over a face, at most [m]
 _NO_FINGER = -1
 
 
@@ -65,6 +66,7 @@ class Workspace:
         model: compiled, with the hand.
         hand: its kinematics.
         lower, upper: of the set-points ``(d,)`` [rad].
+        object_body: name of the body in the model that is not the hand's.
         base: posture that joints shared by several fingers keep ``(d,)`` [rad].
         count: of postures.
         seed: of the postures.
@@ -83,6 +85,7 @@ class Workspace:
         lower: Floats,
         upper: Floats,
         base: Floats,
+        object_body: str = "object",
         count: int = 1000,
         seed: int = 0,
     ) -> None:
@@ -92,7 +95,7 @@ class Workspace:
         self.q = rng.uniform(self.lower, self.upper, (count, hand.nq))
         shared = hand.moves.sum(axis=0) > 1
         self.q[:, shared] = base[shared]
-        self.balls = HandBalls(model, hand)
+        self.balls = HandBalls(model, hand, object_body)
         centres = self.balls.centres(self.q)
         self._configuration = hand.configuration(self.q)
         self.tips = self._configuration.fingertip_position
@@ -148,9 +151,12 @@ class Workspace:
         others = (link.centres[near] - centre) @ turn
         clearance = (shape.bound(others) - link.radius).min(axis=-1, initial=np.inf)
         free = np.flatnonzero(clearance > CLEAR)
-        near, clearance = near[free], clearance[free]
         spots, normals = shape.nearest(points[free])
-        return Touches(near, spots @ turn.T + centre, -normals @ turn.T, clearance)
+        # an edge or a corner is no place to hold: there the bound is less than the distance
+        away = np.linalg.norm(points[free] - spots, axis=-1)
+        flat = away - np.abs(shape.bound(points[free])) < _EDGE
+        free, spots, normals = free[flat], spots[flat], normals[flat]
+        return Touches(near[free], spots @ turn.T + centre, -normals @ turn.T, clearance[free])
 
     def jacobian(self, finger: int, touches: Touches) -> Floats:
         """What the finger's own joints do to its contact points, ``(k, 3, n)``."""

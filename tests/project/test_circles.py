@@ -9,8 +9,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("dexctl", "learning", "hardware")
 ONE_MATTER = [
-    # a scene finds its own settled grasp, and the search for it needs nothing but the scene
-    {"dexctl.sim.scene", "dexctl.sim.settle"},
+    # a scene finds its own settled grasp, and where nobody says it, the place of that; the
+    # searches for them need nothing but the scene
+    {"dexctl.sim.scene", "dexctl.sim.settle", "dexctl.sim.suggest"},
     # a hand's configuration builds the hand, which knows it, and is loaded by its name
     {
         "dexctl.hand",

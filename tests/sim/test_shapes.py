@@ -70,6 +70,7 @@ def test_hand_computed_distances() -> None:
     assert ball.radius == pytest.approx(0.05)
     assert cube.radius == pytest.approx(0.05 * 3**0.5)
     assert cube.distance(points.reshape(3, 1, 3)).shape == (3, 1)
+    np.testing.assert_allclose(tin.bound(np.array([[0.08, 0.0, 0.09]])), [0.04])
     # the cheap bound: exact over faces and inside, less by an edge
     np.testing.assert_allclose(cube.bound(points), [0.01, 0.04, -0.01], atol=1e-12)
 

@@ -1,0 +1,280 @@
+"""Suggested grasps: the best of a search, settled in the simulator, palm up and palm down.
+
+The search (`dexctl.sim.grasp_search`) and its score (`dexctl.sim.grasp_score`) are kinematics and
+the kernel; what is returned has been held by the simulated hand. Everything in it can be said in a
+hand's toml: ``SuggestedGrasp.applied``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput, SimulationError
+from dexctl.hand import HandModel
+from dexctl.hand_config import HandConfig, HeldObject, PostureConfig
+from dexctl.sim import checks
+from dexctl.sim.grasp_score import GraspScore, Ranked, ranked
+from dexctl.sim.grasp_search import GraspSearch
+from dexctl.sim.objects import MESH
+from dexctl.sim.scene import Scene
+from dexctl.sim.settle import SettledGrasp, settle
+from dexctl.sim.settle_failure import SettleFailure
+from dexctl.sim.shapes import Shape
+from dexctl.sim.tactile import TouchSensors
+from dexctl.sim.workspace import Workspace
+from dexctl.state import Floats
+
+_HOLDING_TIME = 2.0  # after it has settled [s]
+_DRIFT = 0.01  # of the object in that time, at most [m]
+_OPENING = 0.03  # the open fingertips are so far from the object [m]
+_FAR = (0.0, 0.0, 10.0)  # where the object is out of the way [m]
+PALMS = ("up", "down")
+
+
+class SuggestedGrasp(NamedTuple):
+    """A grasp that was found.
+
+    Attributes:
+        object: its name.
+        centre: where it is held, hand frame, ``(3,)`` [m].
+        size: its width [m]; 0 for a mesh of its own size.
+        yaw: how far it is turned about z [rad].
+        open_q: the open hand, ``(d,)`` [rad].
+        grasp_q: the hand about to touch it, ``(d,)`` [rad].
+        fingers: names of the fingertips that hold it.
+        score: how good it is by the kernel, with its parts.
+        held_up, held_down: whether it held, palm up and palm down; None: not tried.
+    """
+
+    object: str
+    centre: Floats
+    size: float
+    yaw: float
+    open_q: Floats
+    grasp_q: Floats
+    fingers: tuple[str, ...]
+    score: GraspScore
+    held_up: bool | None
+    held_down: bool | None
+
+    @property
+    def note(self) -> str:
+        """What was chosen, in one line."""
+        held = {(True, True): "palm up and palm down", (True, False): "palm up only"}
+        how = held.get((bool(self.held_up), bool(self.held_down)), "palm down only")
+        size = f" {1000 * self.size:.0f} mm wide" if self.size else ""
+        return (
+            f"grasp suggested: {self.object}{size} at {self.centre.round(4).tolist()}, held by "
+            f"{', '.join(self.fingers)}, {how}"
+        )
+
+    def applied(self, config: HandConfig, joint_names: tuple[str, ...]) -> HandConfig:
+        """A hand's configuration that says this grasp.
+
+        Args:
+            config: of the hand.
+            joint_names: of the hand, in its order.
+        """
+
+        def named(q: Floats) -> dict[str, float]:
+            return dict(zip(joint_names, np.round(q, 4).tolist(), strict=True))
+
+        x, y, z = np.round(self.centre, 4).tolist()
+        shape = None if self.object == MESH else self.object
+        return replace(
+            config,
+            postures=PostureConfig(open=named(self.open_q), grasp=named(self.grasp_q)),
+            object=HeldObject(centre=(x, y, z), size=round(self.size, 4) or None, shape=shape),
+        )
+
+
+def suggest(
+    hand: HandModel,
+    name: str,
+    *,
+    mesh: str | Path | None,
+    object_mass: float,
+    object_size: float | None,
+    friction: float | ArrayLike,
+    grasp_centre: ArrayLike | None,
+    grip: float,
+    twist: ArrayLike,
+    count: int,
+    tries: int,
+    seed: int,
+) -> tuple[SuggestedGrasp, ...]:
+    """See `Scene.suggest_grasp`."""
+    options: dict[str, Any] = {
+        "mesh": mesh, "object_mass": object_mass, "friction": friction, "grip": grip
+    }  # fmt: skip
+    checks.count("count", count)
+    checks.count("tries", tries)
+    wanted = checks.vector("twist", twist, 6)
+    if not wanted.any():
+        raise InvalidInput("twist is all zero; expected the direction in which to move the object")
+    search = _search(hand, name, object_size, grasp_centre, wanted, seed, options)
+    best = ranked(search)
+    if best is None or not len(best.score):
+        raise SimulationError(
+            f"{hand.name}: no place, size and posture found in which three fingertips touch a "
+            f"{name} with palm and links clear of it; give a grasp_centre and object_size to try"
+        )
+    held: list[SuggestedGrasp] = []
+    failure: SettleFailure | None = None
+    for row in _spread(best, tries):
+        found, failed = _settled(hand, name, search, best, row, options)
+        failure = failure or failed
+        if found is not None:
+            held.append(found)
+        if sum(bool(one.held_up and one.held_down) for one in held) == count:
+            break
+    if not held and failure is not None:
+        raise failure
+    held.sort(key=lambda one: (-bool(one.held_up) - bool(one.held_down), -one.score.total))
+    return tuple(held)
+
+
+_FOUND: dict[tuple[Any, ...], tuple[SuggestedGrasp, ...]] = {}
+
+
+def suggested(
+    hand: HandModel, name: str, gravity: str | ArrayLike, **options: Any
+) -> SuggestedGrasp:
+    """The grasp that a scene takes where nobody says one; searched for once in a process."""
+    key = (
+        hand.path, hand.path.stat().st_mtime_ns, repr(hand.config), hand.joint_names, name,
+        repr(options),
+    )  # fmt: skip
+    if key not in _FOUND:
+        twist = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        _FOUND[key] = suggest(hand, name, twist=twist, count=1, tries=12, seed=0, **options)
+    held_so = {"up": "held_up", "down": "held_down"}.get(
+        gravity if isinstance(gravity, str) else ""
+    )
+    fitting = [one for one in _FOUND[key] if held_so is None or getattr(one, held_so)]
+    return (fitting or _FOUND[key])[0]
+
+
+def _search(
+    hand: HandModel,
+    name: str,
+    size: float | None,
+    centre: ArrayLike | None,
+    twist: Floats,
+    seed: int,
+    options: dict[str, Any],
+) -> GraspSearch:
+    own_size = name == MESH and size is None
+    scene = Scene.build(
+        hand, name, object_size=None if own_size else 1.0, grasp_centre=_FAR, **options
+    )
+    x, y, z, a, b, c = twist.tolist()
+    return GraspSearch(
+        workspace=Workspace(
+            scene.model, hand, scene.lower, scene.upper, scene.open_q, scene.object_body, seed=seed
+        ),
+        shape=Shape.of_body(scene.model, scene.object_body),
+        size=1.0 if own_size else size,
+        centre=None if centre is None else checks.vector("grasp_centre", centre, 3),
+        base=scene.open_q,
+        torque=hand.effort,
+        grip=scene.grip,
+        friction=scene.friction(),
+        weight=9.81 * scene.object_mass,
+        twist=(x, y, z, a, b, c),
+        seed=seed,
+    )
+
+
+def _spread(best: Ranked, count: int) -> list[int]:
+    """The best ``count`` rows, neighbours of better ones later than others."""
+    centres, sizes = best.contacts.centre, np.array([p.size for p in best.contacts.placement])
+    first: list[int] = []
+    for i in range(len(sizes)):
+        near = (np.linalg.norm(centres[first] - centres[i], axis=-1) < 0.01) & (
+            np.abs(sizes[first] - sizes[i]) < 0.01
+        )
+        if near.sum() < 2:
+            first.append(i)
+    later = [i for i in range(len(sizes)) if i not in first]
+    return (first + later)[:count]
+
+
+def _settled(
+    hand: HandModel,
+    name: str,
+    search: GraspSearch,
+    best: Ranked,
+    row: int,
+    options: dict[str, Any],
+) -> tuple[SuggestedGrasp | None, SettleFailure | None]:
+    """The grasp of a row where it holds, palm up or palm down, else why not."""
+    found, place = best.contacts, best.contacts.placement[row]
+    own_size = name == MESH and search.size == 1.0
+    opened = _opened(search, found.q[row], found.position[row], found.normal[row])
+    q, yaw = found.q[row], place.yaw
+    failure: SettleFailure | None = None
+    holds: dict[str, bool] = {}
+    for palm in PALMS:
+        scene = Scene.build(
+            hand, name, palm, object_size=None if own_size else place.size,
+            grasp_centre=place.centre, open_q=opened, grasp_q=q, **options,
+        )  # fmt: skip
+        try:
+            settled = settle(scene, thorough=False)
+        except SettleFailure as error:
+            failure, holds[palm] = failure or error, False
+            continue
+        holds[palm] = holds_still(scene, settled)
+        yaw = settled.yaw
+    if not any(holds.values()):
+        return None, failure
+    active = found.active[row]
+    return (
+        SuggestedGrasp(
+            name, place.centre, 0.0 if own_size else place.size, yaw, opened, q,
+            tuple(n for n, on in zip(hand.fingertip_names, active, strict=True) if on),
+            best.score[row], holds["up"], holds["down"],
+        ),
+        failure,
+    )  # fmt: skip
+
+
+def _opened(search: GraspSearch, q: Floats, position: Floats, normal: Floats) -> Floats:
+    """The hand with its fingertips moved away from the object, along the normals."""
+    space = search.workspace
+    hand, start = space.hand, q
+    target = hand.fingertip_positions(q) - _OPENING * normal
+    still = hand.moves.sum(axis=0) > 1
+    for _ in range(40):
+        configuration = hand.configuration(q)
+        tips = configuration.fingertip_position
+        jacobian = configuration.contact_jacobian(tips).reshape(-1, hand.nq) * ~still
+        error = (target - tips).ravel()
+        step = jacobian.T @ np.linalg.solve(
+            jacobian @ jacobian.T + 1e-4 * np.eye(len(error)), error
+        )
+        q = np.clip(q + np.clip(step, -0.1, 0.1), space.lower, space.upper)
+    return np.where(still, start, q)
+
+
+def holds_still(scene: Scene, settled: SettledGrasp, seconds: float = _HOLDING_TIME) -> bool:
+    """Whether a settled grasp holds the object when its set-points are held."""
+    model, data = scene.model, mujoco.MjData(scene.model)
+    data.qpos, data.qvel = settled.qpos, settled.qvel
+    data.ctrl[scene.actuators] = settled.q_target * scene.ctrl_per_radian
+    steps = round(seconds / model.opt.timestep)
+    mujoco.mj_step(model, data, steps)
+    if data.time < (steps - 0.5) * model.opt.timestep:
+        return False  # it diverged, and began anew
+    sensors = TouchSensors(model, scene.hand.n_fingers)
+    reading = sensors.read(data.sensordata[None, sensors.columns], 0.05)
+    moved = np.linalg.norm(data.qpos[scene.object_qpos][:3] - settled.qpos[scene.object_qpos][:3])
+    needed = min(3, scene.hand.n_fingers)
+    return bool(moved <= _DRIFT and reading.in_contact[0].sum() >= needed)
