@@ -34,8 +34,9 @@ def bare(four_fingers: HandModel) -> HandModel:
 
 def search_of(hand: HandModel, name: str = "cube", **changes: object) -> GraspSearch:
     scene = Scene.build(hand, name, object_size=1.0, grasp_centre=(0, 0, 10))
+    limits = scene.lower, scene.upper
     given = {
-        "workspace": Workspace(scene.model, hand, scene.lower, scene.upper, scene.open_q, count=400),
+        "workspace": Workspace(scene.model, hand, *limits, scene.open_q, count=400),
         "shape": Shape.of_body(scene.model), "size": None, "centre": None, "base": scene.open_q,
         "torque": hand.effort, "grip": 2.0,
     }  # fmt: skip
