@@ -147,14 +147,16 @@ class GroupedSimulator:
         for group, rows in zip(self.groups, self.slices, strict=True):
             group.step(None if chosen is None else chosen[rows])
 
-    def set_parameters(self, **parameters: ArrayLike) -> None:
+    def set_parameters(self, mask: ArrayLike | None = None, **parameters: ArrayLike) -> None:
         """See `BatchSimulator.set_parameters`."""
+        chosen = self._mask(mask)
         for group, rows in zip(self.groups, self.slices, strict=True):
             group.set_parameters(
+                chosen[rows],
                 **{
                     name: value if np.ndim(value) == 0 else self._rows(value)[rows]
                     for name, value in parameters.items()
-                }
+                },
             )
 
     def save(self) -> list[SimulatorState]:

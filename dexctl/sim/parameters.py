@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -11,63 +12,117 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.sim.scene import Scene
-from dexctl.state import Floats
+from dexctl.state import Bools, Floats
+
+Row = Mapping[str, Floats]
+"""The parameters of one environment that were set, by name."""
 
 
-def _friction(scene: Scene, model: mujoco.MjModel, value: float) -> None:
+def _friction(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
     # MuJoCo takes the larger coefficient of the two geoms, so the fingertips' is set as well
     tips = [model.body(name).id for name in scene.hand.fingertip_bodies]
     bodies = [model.body(scene.object_body).id, *tips]
-    model.geom_friction[np.isin(model.geom_bodyid, bodies), 0] = value
+    model.geom_friction[np.isin(model.geom_bodyid, bodies), 0] = row["friction"]
 
 
-def _object_mass(scene: Scene, model: mujoco.MjModel, value: float) -> None:
-    body = model.body(scene.object_body).id
-    ratio = value / scene.model.body_mass[body]
-    model.body_inertia[body] = scene.model.body_inertia[body] * ratio
-    model.body_mass[body] = value
-    mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses
+def _object(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
+    """Size, mass and centre of mass of the object.
+
+    The body's frame is its centre of mass, which MuJoCo's fast paths take for granted once it was
+    compiled so: instead of that centre, the shape is shifted.
+    """
+    base, body = scene.model, model.body(scene.object_body).id
+    size = row.get("object_size", 1.0)
+    shift = -row.get("centre_of_mass", np.zeros(3))
+    ratio = row.get("object_mass", base.body_mass[body]) / base.body_mass[body]
+    model.body_mass[body] = base.body_mass[body] * ratio
+    model.body_inertia[body] = base.body_inertia[body] * ratio * size**2
+    own = base.geom_bodyid == body
+    model.geom_size[own] = base.geom_size[own] * size
+    model.geom_rbound[own] = base.geom_rbound[own] * size
+    model.geom_aabb[own] = base.geom_aabb[own] * size
+    model.geom_pos[own] = base.geom_pos[own] * size + shift
+    if shift.any():
+        model.geom_sameframe[own] = 0
+    boxes = slice(base.body_bvhadr[body], base.body_bvhadr[body] + base.body_bvhnum[body])
+    model.bvh_aabb[boxes] = base.bvh_aabb[boxes] * size
+    model.bvh_aabb[boxes, :3] += shift
+    for mesh in {int(mesh) for mesh in base.geom_dataid[own] if mesh >= 0}:
+        corners = slice(base.mesh_vertadr[mesh], base.mesh_vertadr[mesh] + base.mesh_vertnum[mesh])
+        model.mesh_vert[corners] = base.mesh_vert[corners] * size
+        leaves = slice(base.mesh_bvhadr[mesh], base.mesh_bvhadr[mesh] + base.mesh_bvhnum[mesh])
+        model.bvh_aabb[leaves] = base.bvh_aabb[leaves] * size
 
 
-def _kp(scene: Scene, model: mujoco.MjModel, value: float) -> None:
+def _stiffness(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
     gear2 = scene.ctrl_per_radian**2
-    model.actuator_gainprm[scene.actuators, 0] = value / gear2
-    model.actuator_biasprm[scene.actuators, 1] = -value / gear2
+    model.actuator_gainprm[scene.actuators, 0] = row["kp"] / gear2
+    model.actuator_biasprm[scene.actuators, 1] = -row["kp"] / gear2
 
 
-def _kv(scene: Scene, model: mujoco.MjModel, value: float) -> None:
-    model.actuator_biasprm[scene.actuators, 2] = -value / scene.ctrl_per_radian**2
+def _servo_damping(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
+    model.actuator_biasprm[scene.actuators, 2] = -row["kv"] / scene.ctrl_per_radian**2
 
 
-def _damping(scene: Scene, model: mujoco.MjModel, value: float) -> None:
-    model.dof_damping[scene.qvel_columns] = value
+def _damping(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
+    model.dof_damping[scene.qvel_columns] = row["damping"]
 
 
-def _gear_friction(scene: Scene, model: mujoco.MjModel, value: float) -> None:
-    model.dof_frictionloss[scene.qvel_columns] = value
+def _gear_friction(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
+    model.dof_frictionloss[scene.qvel_columns] = row["gear_friction"]
 
 
-_SETTERS: dict[str, tuple[Callable[[Scene, mujoco.MjModel, float], None], bool]] = {
-    # name: (setter, whether zero is allowed)
-    "friction": (_friction, True),
-    "object_mass": (_object_mass, False),
-    "kp": (_kp, False),
-    "kv": (_kv, True),
-    "damping": (_damping, True),
-    "gear_friction": (_gear_friction, True),
+def _gravity(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
+    model.opt.gravity[:] = row["gravity"]
+
+
+class Parameter(NamedTuple):
+    """One parameter.
+
+    Attributes:
+        apply: puts it into a model, with whatever else of the same thing was set.
+        per: "joint", "axis" (three coordinates), or "" for one number.
+        least: what its numbers are not below; not at either where ``positive``.
+        positive: see there.
+        constants: whether MuJoCo derives constants from it.
+    """
+
+    apply: Callable[[Scene, mujoco.MjModel, Row], None]
+    per: str = ""
+    least: float = 0.0
+    positive: bool = False
+    constants: bool = False
+
+
+PARAMETERS: dict[str, Parameter] = {
+    "friction": Parameter(_friction),
+    "object_mass": Parameter(_object, positive=True, constants=True),
+    "object_size": Parameter(_object, positive=True, constants=True),
+    "centre_of_mass": Parameter(_object, per="axis", least=-np.inf),
+    "kp": Parameter(_stiffness, per="joint", positive=True),
+    "kv": Parameter(_servo_damping, per="joint"),
+    "damping": Parameter(_damping, per="joint"),
+    "gear_friction": Parameter(_gear_friction, per="joint"),
+    "gravity": Parameter(_gravity, per="axis", least=-np.inf),
 }
 
 
 def set_on(scene: Scene, parameters: Mapping[str, float]) -> None:
-    """Give a scene itself other parameters, those of `ParameterSet`, before it is simulated.
+    """Give a scene itself other parameters, those of `PARAMETERS`, before it is simulated.
 
     Raises:
         UnknownName, InvalidInput: no such parameter, or a value out of range.
     """
-    for name, value in parameters.items():
-        setter, _ = _SETTERS[name]
-        setter(scene, scene.model, float(_checked(name, value, 1)[0]))
+    row = {name: _checked(scene, name, value, 1)[0] for name, value in parameters.items()}
+    _apply(scene, scene.model, row, row)
     scene.find_servos()
+
+
+def _apply(scene: Scene, model: mujoco.MjModel, row: Row, names: Mapping[str, object]) -> None:
+    for setter in {PARAMETERS[name].apply: None for name in names}:
+        setter(scene, model, row)
+    if any(PARAMETERS[name].constants for name in names):
+        mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 class ParameterSet:
@@ -82,44 +137,78 @@ class ParameterSet:
 
     @property
     def values(self) -> dict[str, Floats]:
-        """Parameters that were set, ``(N,)`` each."""
+        """Parameters that were set, ``(N,)`` or ``(N, 3)`` or ``(N, d)`` each; NaN: as the scene."""
         return {name: value.copy() for name, value in self._values.items()}
 
-    def set(self, parameters: Mapping[str, ArrayLike]) -> None:
-        """Set some parameters; the others stay."""
-        checked = {name: _checked(name, value, self._count) for name, value in parameters.items()}
-        if not checked:
+    def has(self, name: str) -> bool:
+        """Whether a parameter was set in any environment."""
+        return name in self._values
+
+    def value(self, name: str, default: Floats) -> Floats:
+        """A parameter of every environment, ``default`` where it was not set."""
+        if name not in self._values:
+            return np.broadcast_to(default, (self._count, *np.shape(default)))
+        return np.where(np.isnan(self._values[name]), default, self._values[name])
+
+    def set(self, parameters: Mapping[str, ArrayLike], chosen: Bools | None = None) -> None:
+        """Set some parameters, in the environments chosen ``(N,)``; the others stay."""
+        checked = {
+            name: _checked(self._scene, name, value, self._count)
+            for name, value in parameters.items()
+        }
+        if not checked or (chosen is not None and not chosen.any()):
             return
         if self.models[0] is self._base:
             self.models = [copy.copy(self._base) for _ in range(self._count)]
         for name, values in checked.items():
-            setter, _ = _SETTERS[name]
-            for model, value in zip(self.models, values, strict=True):
-                setter(self._scene, model, float(value))
-        self._values.update(checked)
+            before = self._values.get(name, np.full(values.shape, np.nan))
+            rows = np.ones(self._count, bool) if chosen is None else chosen
+            where = rows.reshape(-1, *(1,) * (values.ndim - 1))
+            self._values[name] = np.where(where, values, before)
+        for i in range(self._count) if chosen is None else np.flatnonzero(chosen):
+            _apply(self._scene, self.models[i], self._row(int(i)), checked)
+
+    def _row(self, i: int) -> Row:
+        return {name: v[i] for name, v in self._values.items() if not np.isnan(v[i]).any()}
 
     def restore(self, values: dict[str, Floats]) -> None:
         """Exactly the parameters of `values`."""
         same = values.keys() == self._values.keys() and all(
-            np.array_equal(values[name], self._values[name]) for name in values
+            np.array_equal(values[name], self._values[name], equal_nan=True) for name in values
         )
-        if not same:
-            self.models, self._values = [self._base] * self._count, {}
-            self.set(values)
+        if same:
+            return
+        self._values = {name: np.asarray(value, float).copy() for name, value in values.items()}
+        self.models = [self._base] * self._count
+        if not values:
+            return
+        self.models = [copy.copy(self._base) for _ in range(self._count)]
+        for i, model in enumerate(self.models):
+            row = self._row(i)
+            _apply(self._scene, model, row, row)
 
 
-def _checked(name: str, value: ArrayLike, count: int) -> Floats:
-    if name not in _SETTERS:
-        raise UnknownName("parameter", name, _SETTERS)
+def _checked(scene: Scene, name: str, value: ArrayLike, count: int) -> Floats:
+    """``value`` as a row or number for each environment."""
+    if name not in PARAMETERS:
+        raise UnknownName("parameter", name, PARAMETERS)
+    parameter = PARAMETERS[name]
     values = np.asarray(value, float)
-    if values.shape not in ((), (count,)):
+    width = {"": (), "joint": (scene.hand.nq,), "axis": (3,)}[parameter.per]
+    shapes = [(count, 3)] if parameter.per == "axis" else [(), (count,), (count, *width)]
+    if values.shape not in shapes:
+        known = " or ".join(str(shape) for shape in dict.fromkeys(shapes))
         raise InvalidInput(
-            f"{name} has shape {values.shape}; expected () or ({count},), one for each environment"
+            f"{name} has shape {values.shape}; expected {known}, one for each environment"
         )
-    zero = _SETTERS[name][1]
-    good = np.isfinite(values) & ((values >= 0) if zero else (values > 0))
+    good = np.isfinite(values) & (values >= parameter.least)
+    if parameter.positive:
+        good &= values > parameter.least
     if not good.all():
-        bad = np.atleast_1d(values)[~np.atleast_1d(good)][0]
-        bound = ">= 0" if zero else "> 0"
-        raise InvalidInput(f"{name} is {bad}; expected finite numbers {bound}")
-    return np.broadcast_to(values, (count,)).copy()
+        bad = np.atleast_1d(values)[~np.atleast_1d(good)].flat[0]
+        sign = ">" if parameter.positive else ">="
+        bound = f" {sign} {parameter.least:g}" if np.isfinite(parameter.least) else ""
+        raise InvalidInput(f"{name} is {bad}; expected finite numbers{bound}")
+    if parameter.per == "joint" and values.ndim == 1:  # one number for all joints
+        values = values[:, None]
+    return np.broadcast_to(values, (count, *width)).copy()

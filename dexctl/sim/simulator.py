@@ -10,7 +10,7 @@ from mujoco.rollout import Rollout
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput, SimulationError
-from dexctl.rotations import inverse, multiply, rotation_vector
+from dexctl.rotations import inverse, multiply, rotate, rotation_vector
 from dexctl.sim import checks
 from dexctl.sim.parameters import ParameterSet
 from dexctl.sim.physics_state import INPUT, PhysicsLayout, SimulatorState
@@ -149,7 +149,7 @@ class BatchSimulator:
         touch = settled.sensordata[self._sensors.columns]
         self._place(
             chosen,
-            np.broadcast_to(self._settled_physics, (rows, self._physics.shape[1])),
+            self._with_centre_of_mass(np.tile(self._settled_physics, (self._count, 1)))[chosen],
             settled.q_target + self.disturbance * noise,
             np.broadcast_to(touch, (rows, len(touch))),
         )
@@ -187,7 +187,8 @@ class BatchSimulator:
         if object_velocity is not None:
             qvel[:, self.scene.object_qvel] = self._rows("object_velocity", object_velocity, 6)
         target = self._rows("q_target", q_target, d)
-        self._place_fresh(chosen, self._layout.state(qpos, qvel)[chosen], target[chosen])
+        physics = self._with_centre_of_mass(self._layout.state(qpos, qvel))
+        self._place_fresh(chosen, physics[chosen], target[chosen])
 
     def rows(self, index: ArrayLike | None = None) -> StateRows:
         """The states of the environments ``index`` (indices, or a mask; None: all), to be kept.
@@ -227,14 +228,27 @@ class BatchSimulator:
         Args:
             position, quaternion, mask: as those of the object in `set_grasp`.
         """
-        chosen, poses = self._mask(mask), self._poses(position, quaternion)
-        self._physics[chosen, self._layout.pose] = poses[chosen]
+        chosen, placed = self._mask(mask), self._physics.copy()
+        placed[:, self._layout.pose] = self._poses(position, quaternion)
+        self._physics[chosen] = self._with_centre_of_mass(placed)[chosen]
         self._physics[chosen, self._layout.object_velocity] = 0.0
         self._angular_velocity[chosen] = 0.0
 
     def _poses(self, position: ArrayLike, quaternion: ArrayLike) -> Floats:
         unit = checks.unit("object_quaternion", self._rows("object_quaternion", quaternion, 4))
         return np.hstack([self._rows("object_position", position, 3), unit])
+
+    def _with_centre_of_mass(self, physics: Floats) -> Floats:
+        """States ``(N, size)`` from ones in which the body stands for the shape's centre."""
+        physics[:, self._layout.position] += self._centre_of_mass(physics)
+        return physics
+
+    def _centre_of_mass(self, physics: Floats) -> Floats | float:
+        """From the shape's centre to the centre of mass, ``(N, 3)`` [m], world frame."""
+        if not self._parameters.has("centre_of_mass"):
+            return 0.0
+        shift = self._parameters.value("centre_of_mass", np.zeros(3))
+        return rotate(physics[:, self._layout.quaternion], shift)
 
     def _place_fresh(self, chosen: Bools, physics: Floats, q_target: Floats) -> None:
         """Put the environments chosen into states, and feel the contacts there.
@@ -260,7 +274,7 @@ class BatchSimulator:
         self._steps[chosen] = 0
         self._diverged[chosen] = False
         self._angular_velocity[chosen] = 0.0
-        self._start_position[chosen] = self._physics[chosen, self._layout.position]
+        self._start_position[chosen] = self._object_position()[chosen]
         self._touch = self._touch.placed(chosen, self._sensors.read(touch, self.touch_threshold))
 
     def read(self) -> GraspState:
@@ -273,12 +287,16 @@ class BatchSimulator:
             contact_position=touch.position,
             contact_normal=touch.normal,
             contact_force=touch.force,
-            object_position=self._physics[:, self._layout.position].copy(),
+            object_position=self._object_position(),
             object_quaternion=self._physics[:, self._layout.quaternion].copy(),
             time=self._clock(),
             age=np.full(self._count, self._timestep),
         )
         return state if batch else state[0]
+
+    def _object_position(self) -> Floats:
+        """Centres of the objects' shapes, ``(N, 3)`` [m]."""
+        return self._physics[:, self._layout.position] - self._centre_of_mass(self._physics)
 
     def write(self, q_target: ArrayLike) -> Floats:
         """Take set-points ``(..., d)`` [rad]; returns them within the limits of joints and servos.
@@ -340,24 +358,31 @@ class BatchSimulator:
         self._steps[where] += ~bad
         self._touch = self._touch.placed(chosen, touch) if some else touch
 
-    def set_parameters(self, **parameters: ArrayLike) -> None:
+    def set_parameters(self, mask: ArrayLike | None = None, **parameters: ArrayLike) -> None:
         """Give every environment its own physical parameters; they hold from the next step on.
 
+        An object's size and centre of mass are to be set before the `reset` or `set_grasp` that
+        places it.
+
         Args:
-            parameters: by name, ``(N,)`` or one number for all: ``friction`` (sliding, of the
-                object), ``object_mass`` [kg] (inertia scales with it), ``kp`` [N m/rad], ``kv``
-                [N m s/rad] (of all servos), ``damping`` [N m s/rad] and ``gear_friction`` [N m] (of
-                the hand's joints).
+            mask: in which environments, ``(N,)`` bool; None is all. The arrays have a row for
+                every environment all the same.
+            parameters: by name. One number for all or ``(N,)``: ``friction`` (sliding, of object
+                and fingertips), ``object_mass`` [kg] (inertia scales with it), ``object_size`` (a
+                factor). Also ``(N, d)``: ``kp`` [N m/rad] and ``kv`` [N m s/rad] of the servos,
+                ``damping`` [N m s/rad] and ``gear_friction`` [N m] of the hand's joints.
+                ``(N, 3)``: ``gravity`` [m/s^2], ``centre_of_mass`` of the object, from the centre
+                of its shape, in its own frame [m] (its inertia stays as it was).
 
         Raises:
             UnknownName: no such parameter.
             InvalidInput: a value out of range, or the wrong number of them.
         """
-        self._parameters.set(parameters)
+        self._parameters.set(parameters, None if mask is None else self._mask(mask))
 
     @property
     def parameters(self) -> dict[str, Floats]:
-        """What `set_parameters` was given, ``(N,)`` each."""
+        """What `set_parameters` was given, a row or number for each; NaN: as the scene has it."""
         return self._parameters.values
 
     @property
@@ -419,7 +444,9 @@ class BatchSimulator:
     @property
     def qpos(self) -> Floats:
         """MuJoCo's generalised positions ``(..., nq)``, for drawing."""
-        return self._out(self._physics[:, self._layout.qpos].copy())
+        qpos = self._physics[:, self._layout.qpos].copy()
+        qpos[:, self.scene.object_qpos][:, :3] = self._object_position()
+        return self._out(qpos)
 
     @property
     def qvel(self) -> Floats:
