@@ -89,6 +89,27 @@ Vector = Annotated[
 """A direction by name, or as three numbers; "x,y,z" on the command line."""
 
 
+def _read_range(words: list[str]) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in words[0].split(","))
+    except ValueError:
+        raise ValueError(f"{words[0]!r} is no range; expected two numbers, low,high") from None
+    return low, high
+
+
+Range = Annotated[
+    tuple[float, float],
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="LOW,HIGH",
+        instance_from_str=_read_range,
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [",".join(f"{number:g}" for number in value)],
+    ),
+]
+"""From a low to a high number; "low,high" on the command line."""
+
+
 def to_plain(config: Any) -> dict[str, Any]:
     """A configuration as JSON can hold it; `from_plain` makes it again."""
     return {field.name: _plain(getattr(config, field.name)) for field in fields(config)}

@@ -27,7 +27,7 @@ class LimitedHand:
 
     Args:
         plant: the simulated hand, or hands.
-        limits: what they are.
+        limits: what they are, of every hand (see `set_limits`).
         stiffness: of the joints' servos, ``(d,)`` or one number [N m/rad] (`Scene.stiffness`);
             None leaves the torque to the plant's own limit.
 
@@ -42,30 +42,53 @@ class LimitedHand:
         self.hand = plant.hand
         self.control_period = plant.control_period
         self.limits = limits
-        periods, self._part = divmod(limits.action_latency / plant.control_period + 1e-9, 1.0)
-        self._periods = int(periods)
         self._plant = plant
-        speed = limits.speed_limit
-        self._step = np.inf if speed is None else speed * plant.control_period
+        self._on_its_way: list[Floats] = []  # set-points of so many periods, the oldest first
+        batch = plant.read().q.shape[:-1]
+        self.set_limits(
+            np.full(batch, _or_infinite(limits.speed_limit)),
+            np.full(batch, _or_infinite(limits.torque_limit)),
+            np.full(batch, limits.action_latency),
+            stiffness,
+        )
+        self.restart()
+
+    def set_limits(
+        self, speed: Floats, torque: Floats, latency: Floats, stiffness: ArrayLike | None = None
+    ) -> None:
+        """Give each hand of a batch its own limits.
+
+        Args:
+            speed, torque, latency: ``(...)`` [rad/s], [N m], [s]; infinite: no limit.
+            stiffness: of the joints' servos, ``(d,)``, ``(..., d)`` or one number [N m/rad]; None
+                leaves the torque to the plant's own limit.
+        """
+        periods, part = np.divmod(np.asarray(latency) / self.control_period + 1e-9, 1.0)
+        self._periods = periods.astype(int)
+        self._part = np.where(part < 1e-6, 0.0, part)[..., None]
+        self._step = (np.asarray(speed) * self.control_period)[..., None]
         self._lead: Floats | None = None
         if stiffness is not None:
             stiff = np.asarray(stiffness, float)
-            if stiff.shape not in ((), (plant.hand.nq,)) or not (
+            whole = (*np.shape(speed), self.hand.nq)
+            if stiff.shape not in ((), whole[-1:], whole) or not (
                 np.isfinite(stiff).all() and (stiff > 0).all()
             ):
                 raise InvalidInput(
-                    f"stiffness is {stiffness}; expected N m/rad above 0, one or ({plant.hand.nq},)"
+                    f"stiffness is {stiffness}; expected N m/rad above 0, one or ({self.hand.nq},)"
                 )
-            if limits.torque_limit is not None:
-                self._lead = np.broadcast_to(limits.torque_limit / stiff, (plant.hand.nq,))
-        self.restart()
+            if np.isfinite(torque).any():
+                self._lead = np.asarray(torque)[..., None] / stiff
+        missing = int(self._periods.max(initial=0)) + 1 - len(self._on_its_way)
+        if missing > 0 and self._on_its_way:
+            self._on_its_way = [self._on_its_way[0]] * missing + self._on_its_way
 
     def restart(self, mask: Bools | None = None) -> None:
         """Forget what is on its way (in the environments chosen); to be called after a reset."""
         now = self._plant.read().q_target
         if mask is None:
             self._sent = self._before = now.copy()
-            self._on_its_way = [self._sent] * (self._periods + 1)
+            self._on_its_way = [self._sent] * (int(self._periods.max(initial=0)) + 1)
             return
         rows = mask[:, None]
         self._sent = np.where(rows, now, self._sent)
@@ -96,12 +119,22 @@ class LimitedHand:
 
     def step(self) -> None:
         """Let one control period pass: what was written ``action_latency`` ago takes effect."""
-        late, *rest = [*self._on_its_way, self._sent]
-        self._on_its_way = rest
-        due, part = rest[0], self._part
-        self._plant.write(due if part < 1e-6 else (1.0 - part) * due + part * late)
+        sent = [*self._on_its_way, self._sent]
+        self._on_its_way = sent[1:]
+        self._plant.write(self._due(sent))
         self._before = self._sent
         self._plant.step()
+
+    def _due(self, sent: list[Floats]) -> Floats:
+        """What takes effect now, of the set-points up to this one."""
+        newest = len(sent) - 1
+        if not self._periods.any() and not self._part.any():
+            return sent[newest]
+        every = np.stack(sent)
+        hands = np.ix_(*(range(n) for n in self._periods.shape))
+        due = every[(newest - self._periods, *hands)]
+        late = every[(newest - 1 - self._periods, *hands)]
+        return (1.0 - self._part) * due + self._part * late
 
     def save(self) -> dict[str, Any]:
         """All that decides what is to come, to be given to `restore`."""
@@ -115,3 +148,7 @@ class LimitedHand:
         """Go on from what `save` returned."""
         self._sent, self._before = saved["sent"].copy(), saved["before"].copy()
         self._on_its_way = [one.copy() for one in saved["on_its_way"]]
+
+
+def _or_infinite(limit: float | None) -> float:
+    return np.inf if limit is None else limit

@@ -137,7 +137,7 @@ class ParameterSet:
 
     @property
     def values(self) -> dict[str, Floats]:
-        """Parameters that were set, ``(N,)`` or ``(N, 3)`` or ``(N, d)`` each; NaN: as the scene."""
+        """Parameters that were set, ``(N,)``, ``(N, 3)`` or ``(N, d)``; NaN: as the scene."""
         return {name: value.copy() for name, value in self._values.items()}
 
     def has(self, name: str) -> bool:

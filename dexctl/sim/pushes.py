@@ -43,12 +43,14 @@ class Pusher:
         control_period: [s].
 
     Attributes:
+        size: of the forces, ``(N,)`` [N].
         force: now, ``(N, 3)`` [N], world frame.
     """
 
     def __init__(self, push: Push, streams: Streams, control_period: float) -> None:
         self._push, self.streams = push, streams
         self._every = max(round(push.push_seconds / control_period), 1)
+        self.size = np.full(streams.batch_shape, push.push_force)
         self.force = np.zeros((*streams.batch_shape, 3))
 
     def __call__(self, step: np.ndarray) -> Floats:
@@ -57,7 +59,7 @@ class Pusher:
         if due.any():
             direction = self.streams.normal((3,), due)
             length = np.sqrt((direction * direction).sum(axis=-1, keepdims=True))
-            drawn = self._push.push_force * direction / np.maximum(length, 1e-12)
+            drawn = self.size[:, None] * direction / np.maximum(length, 1e-12)
             self.force = np.where(due[:, None], drawn, self.force)
         return self.force
 

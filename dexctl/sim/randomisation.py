@@ -1,0 +1,304 @@
+"""Randomisation: what is drawn anew for each episode of each environment, and from which ranges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dexctl.exceptions import InvalidInput
+from dexctl.rotations import cross
+from dexctl.settings import Range
+from dexctl.state import Bools, Floats
+from dexctl.streams import Streams, StreamsState
+from dexctl.validation import check_numbers
+
+_MAY_BE_ZERO = (
+    "dry_friction_range", "action_latency_range", "sensor_latency_range", "noise_range",
+    "touch_threshold_range", "touch_dropout_range", "push_range", "gravity_turning_range",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Randomisation:
+    """Ranges, from each of which every episode draws one number uniformly; none: nothing drawn.
+
+    What is not drawn is as the scene has it. A level below one narrows all ranges towards that
+    (see `Randomiser`).
+
+    Raises:
+        InvalidInput: a range that is none; the message names it.
+    """
+
+    friction_range: Range | None = None
+    """Sliding friction coefficient between object and fingertips."""
+    mass_range: Range | None = None
+    """Mass of the object [kg]."""
+    size_range: Range | None = None
+    """Width of the object, as a share of the scene's; one of five widths, each with its grasp."""
+    centre_of_mass: float = 0.0
+    """The object's centre of mass is off its shape's by up to this, each way [m]."""
+    stiffness_range: Range | None = None
+    """Stiffness of each servo, as a share of its own."""
+    damping_range: Range | None = None
+    """Damping of each servo and joint, as a share of its own."""
+    dry_friction_range: Range | None = None
+    """Dry friction of each joint [N m]."""
+    speed_range: Range | None = None
+    """Fastest set-point [rad/s]."""
+    torque_range: Range | None = None
+    """Largest joint torque [N m]."""
+    action_latency_range: Range | None = None
+    """Time from a set-point to its effect [s]."""
+    joint_origin: float = 0.0
+    """Each joint stands off what is sensed of it and sent to it by up to this [rad]."""
+    encoder_offset: float = 0.0
+    """Each joint is sensed off where it is by up to this [rad]."""
+    noise_range: Range | None = None
+    """All noises of the sensors, as a share of their standard deviations."""
+    sensor_latency_range: Range | None = None
+    """How old what is sensed is, rounded to control steps [s]."""
+    touch_threshold_range: Range | None = None
+    """Weakest normal force that counts as touch [N], of each finger."""
+    touch_dropout_range: Range | None = None
+    """Probability that a touch is not felt in a control step."""
+    push_range: Range | None = None
+    """Size of the force that pulls at the object [N]."""
+    gravity_tilt: float = 0.0
+    """Gravity is turned from the scene's by up to this, uniformly on the sphere; pi: any way
+    up [rad]."""
+    gravity_turning_range: Range | None = None
+    """Speed at which gravity turns about an axis drawn, as where the hand is moved [rad/s]."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.name.endswith("_range") and value is not None:
+                _check_range(one.name, value, one.name in _MAY_BE_ZERO)
+        check_numbers(
+            self,
+            not_negative=("centre_of_mass", "joint_origin", "encoder_offset", "gravity_tilt"),
+        )
+        if self.gravity_tilt > np.pi:
+            raise InvalidInput(f"gravity_tilt is {self.gravity_tilt}; expected 0 to pi")
+        if self.touch_dropout_range is not None and self.touch_dropout_range[1] > 1:
+            raise InvalidInput(
+                f"touch_dropout_range is {self.touch_dropout_range}; expected shares, 0 to 1"
+            )
+
+    def __bool__(self) -> bool:
+        """Whether anything is drawn."""
+        return self != Randomisation()
+
+
+def _check_range(name: str, value: object, zero: bool) -> None:
+    low, high = np.asarray(value, float)
+    if not (np.isfinite([low, high]).all() and (low >= 0 if zero else low > 0) and low <= high):
+        raise InvalidInput(
+            f"{name} is {value}; expected two finite numbers {'from' if zero else 'above'} 0 on, "
+            "the lower one first"
+        )
+
+
+class Drawn(NamedTuple):
+    """What holds in an episode of each of N environments; rows as wide as it says.
+
+    Attributes:
+        friction, object_mass, object_size, centre_of_mass, kp, kv, damping, dry_friction, gravity:
+            parameters of the simulator, as `BatchSimulator.set_parameters` has them.
+        gravity_turning: axis times speed at which gravity turns, ``(N, 3)`` [rad/s].
+        speed_limit, torque_limit, action_latency: of the hand, ``(N,)``; infinite: no limit.
+        joint_origin, encoder_offset: ``(N, d)`` [rad].
+        noise: share of the sensors' standard deviations, ``(N,)``.
+        sensor_latency: ``(N,)`` [s].
+        touch_threshold: ``(N, m)`` [N].
+        touch_dropout: ``(N,)``.
+        push_force: ``(N,)`` [N].
+    """
+
+    friction: Floats
+    object_mass: Floats
+    object_size: Floats
+    centre_of_mass: Floats
+    kp: Floats
+    kv: Floats
+    damping: Floats
+    dry_friction: Floats
+    gravity: Floats
+    gravity_turning: Floats
+    speed_limit: Floats
+    torque_limit: Floats
+    action_latency: Floats
+    joint_origin: Floats
+    encoder_offset: Floats
+    noise: Floats
+    sensor_latency: Floats
+    touch_threshold: Floats
+    touch_dropout: Floats
+    push_force: Floats
+
+
+# which setting draws what, for all that is one number from one range
+_RANGES = {
+    "friction": "friction_range",
+    "object_mass": "mass_range",
+    "object_size": "size_range",
+    "kp": "stiffness_range",
+    "kv": "damping_range",
+    "damping": "damping_range",
+    "dry_friction": "dry_friction_range",
+    "speed_limit": "speed_range",
+    "torque_limit": "torque_range",
+    "action_latency": "action_latency_range",
+    "noise": "noise_range",
+    "sensor_latency": "sensor_latency_range",
+    "touch_threshold": "touch_threshold_range",
+    "touch_dropout": "touch_dropout_range",
+    "push_force": "push_range",
+}
+_SHARES = ("kp", "kv", "damping")  # of what they are in the scene
+_EACH_WAY = {
+    "centre_of_mass": "centre_of_mass",
+    "joint_origin": "joint_origin",
+    "encoder_offset": "encoder_offset",
+}
+PHYSICAL = (
+    "friction", "object_mass", "object_size", "centre_of_mass", "kp", "kv", "damping",
+    "dry_friction", "gravity",
+)  # fmt: skip
+"""What of `Drawn` the simulator's parameters are."""
+
+
+class Randomiser:
+    """Draws what holds in the episodes of N environments.
+
+    Every episode takes as many numbers from its stream whatever is drawn, so one range more does
+    not change the others.
+
+    Args:
+        config: the ranges.
+        nominal: what holds where nothing is drawn.
+        streams: of the draws, ``(N,)``.
+
+    Attributes:
+        level: how much of the ranges is used, from 0 (everything nominal) to 1; for those to
+            come. A limit that is infinite in the scene counts as the range's high end there.
+        drawn: what holds now.
+        streams: as given.
+    """
+
+    def __init__(self, config: Randomisation, nominal: Drawn, streams: Streams) -> None:
+        self.config, self.streams = config, streams
+        self.level = 1.0
+        self.drawn = self._nominal = nominal
+
+    @property
+    def physical(self) -> tuple[str, ...]:
+        """Names of the simulator's parameters that are drawn."""
+        return tuple(name for name in PHYSICAL if self._draws(name))
+
+    def _draws(self, name: str) -> bool:
+        if name in _RANGES:
+            return getattr(self.config, _RANGES[name]) is not None
+        if name in _EACH_WAY:
+            return getattr(self.config, _EACH_WAY[name]) > 0
+        return self.config.gravity_tilt > 0 or self.config.gravity_turning_range is not None
+
+    def draw(self, chosen: Bools) -> None:
+        """Draw for the episodes that begin in the environments chosen, ``(N,)``."""
+        found: dict[str, Floats] = {}
+        widths = [value[0].size for value in self._nominal]
+        numbers = self.streams.uniform((sum(widths) + 2,), chosen)
+        parts = np.split(numbers, np.cumsum(widths), axis=1)
+        for name, part, nominal in zip(Drawn._fields, parts, self._nominal, strict=False):
+            uniform = part.reshape(nominal.shape)
+            if name in _RANGES:
+                value = self._from_range(name, uniform, nominal)
+            elif name in _EACH_WAY:
+                most = self.level * getattr(self.config, _EACH_WAY[name])
+                value = nominal + most * (2.0 * uniform - 1.0)
+            else:
+                continue
+            found[name] = value
+        field, more = self._nominal.gravity, parts[-1]
+        turned = parts[Drawn._fields.index("gravity")]
+        found["gravity"] = self._tilted(field, turned[:, 0], turned[:, 1])
+        found["gravity_turning"] = self._turning(
+            parts[Drawn._fields.index("gravity_turning")][:, 0], more
+        )
+        self.drawn = Drawn(
+            *(
+                np.where(chosen.reshape(-1, *(1,) * (now.ndim - 1)), found[name], now)
+                for name, now in self.drawn._asdict().items()
+            )
+        )
+
+    def _from_range(self, name: str, uniform: Floats, nominal: Floats) -> Floats:
+        given = getattr(self.config, _RANGES[name])
+        if given is None:
+            return nominal
+        low, high = given
+        if name in _SHARES:
+            return nominal * (1.0 + self.level * (low + (high - low) * uniform - 1.0))
+        usual = np.where(np.isfinite(nominal), nominal, high)
+        return usual + self.level * (low + (high - low) * uniform - usual)
+
+    def _tilted(self, gravity: Floats, height: Floats, azimuth: Floats) -> Floats:
+        """Gravity turned from where it points, uniformly on the cap of the sphere."""
+        most = self.level * self.config.gravity_tilt
+        if not most:
+            return gravity
+        size = np.linalg.norm(gravity, axis=1)
+        along = gravity / np.maximum(size, 1e-12)[:, None]
+        cosine = 1.0 - height * (1.0 - np.cos(most))
+        sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
+        aside = sine[:, None] * _around(along, 2.0 * np.pi * azimuth)
+        return size[:, None] * (cosine[:, None] * along + aside)
+
+    def _turning(self, speed: Floats, direction: Floats) -> Floats:
+        given = self.config.gravity_turning_range
+        if given is None:
+            return self._nominal.gravity_turning
+        height = 2.0 * direction[:, 0] - 1.0
+        across = np.sqrt(np.maximum(1.0 - height**2, 0.0))
+        angle = 2.0 * np.pi * direction[:, 1]
+        axis = np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
+        return (self.level * (given[0] + (given[1] - given[0]) * speed))[:, None] * axis
+
+    def turn(self, seconds: float) -> bool:
+        """Let gravity turn for so long; whether it does in any environment."""
+        turning = self.drawn.gravity_turning
+        speed = np.sqrt((turning * turning).sum(axis=1, keepdims=True))
+        if not speed.any():
+            return False
+        axis = turning / np.maximum(speed, 1e-12)
+        angle, gravity = speed * seconds, self.drawn.gravity
+        along = (gravity * axis).sum(axis=1, keepdims=True) * axis
+        across = gravity - along
+        turned = along + np.cos(angle) * across + np.sin(angle) * cross(axis, across)
+        self.drawn = self.drawn._replace(gravity=np.where(speed > 0, turned, gravity))
+        return True
+
+    def save(self) -> dict[str, Any]:
+        """All that decides what is to come, to be given to `restore`."""
+        return {
+            "streams": self.streams.save()._asdict(),
+            "level": float(self.level),
+            "drawn": {name: value.copy() for name, value in self.drawn._asdict().items()},
+        }
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go on from what `save` returned."""
+        self.streams.restore(StreamsState(**saved["streams"]))
+        self.level = float(saved["level"])
+        self.drawn = Drawn(**{name: value.copy() for name, value in saved["drawn"].items()})
+
+
+def _around(axis: Floats, angle: Floats) -> Floats:
+    """Unit vectors across unit ``axis`` ``(N, 3)``, at an angle ``(N,)`` about it."""
+    least = np.eye(3)[np.argmin(np.abs(axis), axis=1)]
+    first = cross(axis, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = cross(axis, first)
+    return np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
