@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
+from dexctl.limits import HandLimits
 from dexctl.rotations import cross
 from dexctl.settings import Range
+from dexctl.sim.pushes import Push
+from dexctl.sim.scene import Scene
+from dexctl.sim.sensing import Sensing
 from dexctl.state import Bools, Floats
 from dexctl.streams import Streams, StreamsState
 from dexctl.validation import check_numbers
 
 _MAY_BE_ZERO = (
-    "dry_friction_range", "action_latency_range", "sensor_latency_range", "noise_range",
+    "gear_friction_range", "action_latency_range", "sensor_latency_range", "noise_range",
     "touch_threshold_range", "touch_dropout_range", "push_range", "gravity_turning_range",
 )  # fmt: skip
 
@@ -43,7 +48,7 @@ class Randomisation:
     """Stiffness of each servo, as a share of its own."""
     damping_range: Range | None = None
     """Damping of each servo and joint, as a share of its own."""
-    dry_friction_range: Range | None = None
+    gear_friction_range: Range | None = None
     """Dry friction of each joint [N m]."""
     speed_range: Range | None = None
     """Fastest set-point [rad/s]."""
@@ -51,12 +56,9 @@ class Randomisation:
     """Largest joint torque [N m]."""
     action_latency_range: Range | None = None
     """Time from a set-point to its effect [s]."""
-    joint_origin: float = 0.0
-    """Each joint stands off what is sensed of it and sent to it by up to this [rad]."""
-    encoder_offset: float = 0.0
-    """Each joint is sensed off where it is by up to this [rad]."""
     noise_range: Range | None = None
-    """All noises of the sensors, as a share of their standard deviations."""
+    """All noises of the sensors, the encoders' offsets among them, as a share of their standard
+    deviations."""
     sensor_latency_range: Range | None = None
     """How old what is sensed is, rounded to control steps [s]."""
     touch_threshold_range: Range | None = None
@@ -78,7 +80,7 @@ class Randomisation:
                 _check_range(one.name, value, one.name in _MAY_BE_ZERO)
         check_numbers(
             self,
-            not_negative=("centre_of_mass", "joint_origin", "encoder_offset", "gravity_tilt"),
+            not_negative=("centre_of_mass", "gravity_tilt"),
         )
         if self.gravity_tilt > np.pi:
             raise InvalidInput(f"gravity_tilt is {self.gravity_tilt}; expected 0 to pi")
@@ -90,6 +92,17 @@ class Randomisation:
     def __bool__(self) -> bool:
         """Whether anything is drawn."""
         return self != Randomisation()
+
+    @property
+    def limits_hand(self) -> bool:
+        """Whether limits of the hand are drawn."""
+        drawn = (self.speed_range, self.torque_range, self.action_latency_range)
+        return any(one is not None for one in drawn)
+
+    @property
+    def sizes(self) -> Floats:
+        """The widths that are drawn from, ``(5,)``, as shares of the scene's; ``(1,)`` for one."""
+        return np.array([1.0]) if self.size_range is None else np.linspace(*self.size_range, 5)
 
 
 def _check_range(name: str, value: object, zero: bool) -> None:
@@ -105,11 +118,10 @@ class Drawn(NamedTuple):
     """What holds in an episode of each of N environments; rows as wide as it says.
 
     Attributes:
-        friction, object_mass, object_size, centre_of_mass, kp, kv, damping, dry_friction, gravity:
+        friction, object_mass, object_size, centre_of_mass, kp, kv, damping, gear_friction, gravity:
             parameters of the simulator, as `BatchSimulator.set_parameters` has them.
         gravity_turning: axis times speed at which gravity turns, ``(N, 3)`` [rad/s].
         speed_limit, torque_limit, action_latency: of the hand, ``(N,)``; infinite: no limit.
-        joint_origin, encoder_offset: ``(N, d)`` [rad].
         noise: share of the sensors' standard deviations, ``(N,)``.
         sensor_latency: ``(N,)`` [s].
         touch_threshold: ``(N, m)`` [N].
@@ -124,14 +136,12 @@ class Drawn(NamedTuple):
     kp: Floats
     kv: Floats
     damping: Floats
-    dry_friction: Floats
+    gear_friction: Floats
     gravity: Floats
     gravity_turning: Floats
     speed_limit: Floats
     torque_limit: Floats
     action_latency: Floats
-    joint_origin: Floats
-    encoder_offset: Floats
     noise: Floats
     sensor_latency: Floats
     touch_threshold: Floats
@@ -147,7 +157,7 @@ _RANGES = {
     "kp": "stiffness_range",
     "kv": "damping_range",
     "damping": "damping_range",
-    "dry_friction": "dry_friction_range",
+    "gear_friction": "gear_friction_range",
     "speed_limit": "speed_range",
     "torque_limit": "torque_range",
     "action_latency": "action_latency_range",
@@ -158,16 +168,54 @@ _RANGES = {
     "push_force": "push_range",
 }
 _SHARES = ("kp", "kv", "damping")  # of what they are in the scene
-_EACH_WAY = {
-    "centre_of_mass": "centre_of_mass",
-    "joint_origin": "joint_origin",
-    "encoder_offset": "encoder_offset",
-}
 PHYSICAL = (
     "friction", "object_mass", "object_size", "centre_of_mass", "kp", "kv", "damping",
-    "dry_friction", "gravity",
+    "gear_friction", "gravity",
 )  # fmt: skip
 """What of `Drawn` the simulator's parameters are."""
+
+
+def nominal(
+    groups: Sequence[tuple[Scene, int]], sensing: Sensing, limits: HandLimits, push: Push
+) -> Drawn:
+    """What holds in N environments where nothing is drawn.
+
+    Args:
+        groups: the scenes, each with its number of environments.
+        sensing, limits, push: of all of them.
+    """
+    count, hand = sum(n for _, n in groups), groups[0][0].hand
+
+    def each(of: Callable[[Scene], object]) -> Floats:
+        return np.concatenate([np.tile(np.asarray(of(s), float), (n, 1)) for s, n in groups])
+
+    def one(value: float | None) -> Floats:
+        return np.full(count, np.inf if value is None else value)
+
+    return Drawn(
+        friction=each(lambda scene: scene.friction())[:, 0],
+        object_mass=each(lambda scene: scene.model.body("object").mass)[:, 0],
+        object_size=one(1.0),
+        centre_of_mass=np.zeros((count, 3)),
+        kp=each(lambda scene: scene.stiffness),
+        kv=each(_servo_damping),
+        damping=each(lambda scene: scene.model.dof_damping[scene.qvel_columns]),
+        gear_friction=each(lambda scene: scene.model.dof_frictionloss[scene.qvel_columns]),
+        gravity=each(lambda scene: scene.gravity),
+        gravity_turning=np.zeros((count, 3)),
+        speed_limit=one(limits.speed_limit),
+        torque_limit=one(limits.torque_limit),
+        action_latency=one(limits.action_latency),
+        noise=one(1.0),
+        sensor_latency=one(sensing.sensor_latency),
+        touch_threshold=np.full((count, hand.n_fingers), sensing.touch_threshold),
+        touch_dropout=np.zeros(count),
+        push_force=one(push.push_force),
+    )
+
+
+def _servo_damping(scene: Scene) -> Floats:
+    return -scene.model.actuator_biasprm[scene.actuators, 2] * scene.ctrl_per_radian**2
 
 
 class Randomiser:
@@ -182,8 +230,8 @@ class Randomiser:
         streams: of the draws, ``(N,)``.
 
     Attributes:
-        level: how much of the ranges is used, from 0 (everything nominal) to 1; for those to
-            come. A limit that is infinite in the scene counts as the range's high end there.
+        level: how much of the ranges is used, from 0 (everything nominal) to 1, in the episodes
+            to come. A limit that is infinite in the scene counts as the range's high end there.
         drawn: what holds now.
         streams: as given.
     """
@@ -201,8 +249,8 @@ class Randomiser:
     def _draws(self, name: str) -> bool:
         if name in _RANGES:
             return getattr(self.config, _RANGES[name]) is not None
-        if name in _EACH_WAY:
-            return getattr(self.config, _EACH_WAY[name]) > 0
+        if name == "centre_of_mass":
+            return self.config.centre_of_mass > 0
         return self.config.gravity_tilt > 0 or self.config.gravity_turning_range is not None
 
     def draw(self, chosen: Bools) -> None:
@@ -215,9 +263,11 @@ class Randomiser:
             uniform = part.reshape(nominal.shape)
             if name in _RANGES:
                 value = self._from_range(name, uniform, nominal)
-            elif name in _EACH_WAY:
-                most = self.level * getattr(self.config, _EACH_WAY[name])
-                value = nominal + most * (2.0 * uniform - 1.0)
+                if name == "object_size":
+                    sizes = self.config.sizes
+                    value = sizes[np.abs(value[:, None] - sizes).argmin(axis=1)]
+            elif name == "centre_of_mass":
+                value = nominal + self.level * self.config.centre_of_mass * (2.0 * uniform - 1.0)
             else:
                 continue
             found[name] = value

@@ -17,6 +17,7 @@ from dexctl.limits import HandLimits
 from dexctl.settings import NESTED, Vector
 from dexctl.sim.checks import gravity_vector
 from dexctl.sim.pushes import Push
+from dexctl.sim.randomisation import Randomisation
 from dexctl.sim.sensing import Sensing
 from dexctl.validation import check_numbers, check_whole
 
@@ -72,6 +73,7 @@ class SceneConfig:
     sensing: Annotated[Sensing, NESTED] = field(default_factory=Sensing)
     push: Annotated[Push, NESTED] = field(default_factory=Push)
     limits: Annotated[HandLimits, NESTED] = field(default_factory=HandLimits)
+    randomisation: Annotated[Randomisation, NESTED] = field(default_factory=Randomisation)
     threads: int | None = None
     """How many threads step the physics; none: every core."""
 
@@ -89,6 +91,11 @@ class SceneConfig:
             optional=("object_size", *_PARAMETERS),
         )
         check_whole(self, substeps=1)
+        if self.initial_states is not None and self.randomisation.size_range is not None:
+            raise InvalidInput(
+                f"size_range is {self.randomisation.size_range} and initial_states is "
+                f"{self.initial_states}, whose grasps are of one size; give one of them"
+            )
         if self.threads is not None:
             check_whole(self, threads=1)
 
@@ -99,14 +106,16 @@ class SceneConfig:
         return {name: value for name, value in found.items() if value is not None}
 
     def undisturbed(self) -> SceneConfig:
-        """The same without noise, latency of the sensors, pushes and given starts."""
+        """The same without noise, latency of the sensors, pushes, given starts and draws."""
         sensing = Sensing(
             touch=self.sensing.touch,
             joint_touch=self.sensing.joint_touch,
             touch_threshold=self.sensing.touch_threshold,
         )
         push = replace(self.push, push_force=0.0)
-        return replace(self, sensing=sensing, push=push, initial_states=None)
+        return replace(
+            self, sensing=sensing, push=push, initial_states=None, randomisation=Randomisation()
+        )
 
     def check_objects(self, where: str = "") -> None:
         """Raise UnknownName where an object is not known; building nothing, it costs little.

@@ -97,8 +97,37 @@ class Sensor:
         self._sensing, self.streams = sensing, streams
         self._joint_touch = joint_touch
         self.offset: Floats | float = 0.0
-        self._steps = round(sensing.sensor_latency / control_period)
+        self._period = control_period
         self._past: list[dict[str, np.ndarray]] = []  # steps + 1 readings, the oldest first
+        batch = streams.batch_shape
+        self._share = np.ones(batch)
+        self._late = np.full(batch, round(sensing.sensor_latency / control_period))
+        self._threshold = np.zeros((*batch, 1))
+        self._dropout = np.zeros(batch)
+
+    def set_errors(
+        self, noise: Floats, latency: Floats, threshold: Floats, dropout: Floats
+    ) -> None:
+        """Give the sensors of each environment their own errors; those of an episode.
+
+        Args:
+            noise: all noises, as a share of their standard deviations, ``(N,)``.
+            latency: ``(N,)`` [s].
+            threshold: weakest force that counts as touch, ``(N, m)`` [N].
+            dropout: probability that a touch is not felt in a control step, ``(N,)``.
+        """
+        self._share, self._threshold, self._dropout = noise, threshold, dropout
+        self._late = np.rint(np.asarray(latency) / self._period).astype(int)
+        if not self._steps:
+            self._past = []
+        elif self._past:
+            missing = self._steps + 1 - len(self._past)
+            self._past = [self._past[0]] * max(missing, 0) + self._past
+
+    @property
+    def _steps(self) -> int:
+        """The longest latency, in control steps."""
+        return int(self._late.max(initial=0))
 
     def __call__(self, state: GraspState, begin: Bools | None = None) -> GraspState:
         """What is sensed of ``state`` ``(N,)``.
@@ -113,7 +142,8 @@ class Sensor:
             self._begin(begin, state.q.shape)
         if sensing.joint_offset:
             state = replace(state, q=state.q + self.offset, q_target=state.q_target + self.offset)
-        seen = blurred(state, sensing, self.streams, begin)
+        seen = blurred(state, sensing, self.streams, begin, share=self._share)
+        seen = self._felt(seen, begin)
         if self._joint_touch is not None:
             switches = seen.in_contact if sensing.touch == "binary" else None
             seen = self._joint_touch(seen, switches, mask=begin)
@@ -126,19 +156,48 @@ class Sensor:
         if not self._past:
             self._past = [now] * (self._steps + 1)
         elif begin is None:
-            self._past = [*self._past[1:], now]
+            self._past = [*self._past[-self._steps :], now]
         else:
             self._past = [_merged(begin, now, one) for one in self._past]
-        then = self._past[0]
+        then = self._oldest()
         age = then["age"] + now["time"] - then["time"]
         return replace(seen, **{**then, "time": now["time"], "age": age})
+
+    def _oldest(self) -> dict[str, np.ndarray]:
+        """What each environment's sensors tell now: the reading as old as its latency."""
+        if (self._late == self._steps).all():
+            return self._past[-1 - self._steps]
+        index, rows = len(self._past) - 1 - self._late, np.arange(len(self._late))
+        return {
+            name: np.stack([one[name] for one in self._past])[index, rows] for name in self._past[0]
+        }
+
+    def _felt(self, seen: GraspState, begin: Bools | None) -> GraspState:
+        """What is left of touch by thresholds and drop-outs."""
+        touch = seen.in_contact
+        if self._threshold.any():
+            touch = touch & (seen.contact_force >= self._threshold)
+        if self._dropout.any():
+            drawn = self.streams.uniform(seen.in_contact.shape[1:], begin)
+            touch = touch & (drawn >= self._dropout[:, None])
+        if touch is seen.in_contact:
+            return seen
+        rows = touch[..., None]
+        return replace(
+            seen,
+            in_contact=touch,
+            contact_position=np.where(rows, seen.contact_position, 0.0),
+            contact_normal=np.where(rows, seen.contact_normal, 0.0),
+            contact_force=np.where(touch, seen.contact_force, 0.0),
+        )
 
     def _begin(self, begin: Bools, shape: tuple[int, ...]) -> None:
         """Episodes begin: other encoders, and nothing felt yet."""
         if self._joint_touch is not None:
             self._joint_touch.reset(begin)
         if self._sensing.joint_offset:
-            drawn = self._sensing.joint_offset * self.streams.normal(shape[1:], begin)
+            width = self._sensing.joint_offset * self._share[:, None]
+            drawn = width * self.streams.normal(shape[1:], begin)
             self.offset = np.where(begin[:, None], drawn, self.offset)
 
     def save(self) -> dict[str, object]:
@@ -149,11 +208,18 @@ class Sensor:
             "past": [dict(one) for one in self._past],
             "joint_touch": felt,
             "offset": np.array(self.offset),
+            "errors": {
+                "noise": self._share.copy(),
+                "latency": self._late * self._period,
+                "threshold": self._threshold.copy(),
+                "dropout": self._dropout.copy(),
+            },
         }
 
     def restore(self, saved: dict) -> None:
         """Go on from what `save` returned."""
         self.streams.restore(StreamsState(**saved["streams"]))
+        self.set_errors(**saved["errors"])
         self._past = [dict(one) for one in saved["past"]]
         self.offset = np.array(saved["offset"])
         if self._joint_touch is not None:
@@ -161,14 +227,22 @@ class Sensor:
 
 
 def blurred(
-    state: GraspState, sensing: Sensing, streams: Streams, mask: Bools | None = None
+    state: GraspState,
+    sensing: Sensing,
+    streams: Streams,
+    mask: Bools | None = None,
+    *,
+    share: Floats | float = 1.0,
 ) -> GraspState:
-    """``state`` ``(N,)`` with noise on it; only the streams in ``mask`` move on."""
+    """``state`` ``(N,)`` with noise on it; only the streams in ``mask`` move on.
+
+    ``share``, one number or ``(N,)``, is how much of the noise there is.
+    """
     if not sensing.noisy:
         return state
     count, d = state.q.shape
     m = state.in_contact.shape[1]
-    drawn = streams.normal((d + 7 * m,), mask)
+    drawn = streams.normal((d + 7 * m,), mask) * np.reshape(share, (-1, 1))
     joints, fingers = drawn[:, :d], drawn[:, d:].reshape(count, m, 7)
     factor = np.maximum(1.0 + sensing.force_noise_share * fingers[..., 6], 0.0)
     force = np.maximum(state.contact_force * factor + sensing.force_noise * fingers[..., 5], 0.0)

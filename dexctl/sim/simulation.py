@@ -14,13 +14,15 @@ from dexctl.sim.grasp_states import GraspStates, StateSampler
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.limited_hand import LimitedHand
 from dexctl.sim.pushes import Pusher
+from dexctl.sim.randomisation import Drawn, Randomiser, nominal
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.sim.sensing import Sensor
+from dexctl.sim.sized_grasps import SizedGrasps
 from dexctl.state import Bools, Floats, GraspState, merged
 from dexctl.streams import Streams, StreamsState
 
 # The streams of one environment must not repeat each other; the simulator's takes the seed itself.
-_NOISE_SEED, _DRAW_SEED, _PUSH_SEED = 1 << 40, 1 << 41, 1 << 43
+_NOISE_SEED, _DRAW_SEED, _PUSH_SEED, _RANDOM_SEED = 1 << 40, 1 << 41, 1 << 43, 1 << 44
 
 
 class Simulation:
@@ -38,6 +40,7 @@ class Simulation:
     Attributes:
         config, hand, control_period, num_envs: as given.
         sim: the physics.
+        randomiser: what holds in the episodes, where it is drawn for each.
         objects: name of the object in each environment.
 
     Raises:
@@ -58,8 +61,9 @@ class Simulation:
         scenes = config.scenes(hand)
         least, more = divmod(count, len(scenes))
         self.config = config
+        groups = [(scene, least + (i < more)) for i, scene in enumerate(scenes)]
         self.sim = GroupedSimulator(
-            [(scene, least + (i < more)) for i, scene in enumerate(scenes)],
+            groups,
             control_period=config.control_period,
             substeps=config.substeps,
             threads=config.threads,
@@ -70,8 +74,12 @@ class Simulation:
         self.hand, self.num_envs, self.objects = self.sim.hand, count, self.sim.objects
         self.control_period, self.batch_shape = self.sim.control_period, (count,)
         self._plant: LimitedHand | GroupedSimulator = self.sim
-        if config.limits:
+        drawn = config.randomisation
+        if config.limits or drawn.limits_hand:
             self._plant = LimitedHand(self.sim, config.limits, scenes[0].stiffness)
+        usual = nominal(groups, config.sensing, config.limits, config.push)
+        self.randomiser = Randomiser(drawn, usual, Streams(seeds + _RANDOM_SEED, (count,)))
+        self._grasps = SizedGrasps.find(config, groups) if drawn else None
         self._sampler = None
         if config.initial_states is not None:
             states = GraspStates.load(config.initial_states)
@@ -117,6 +125,7 @@ class Simulation:
             self._draws.reseed(seeds + _DRAW_SEED, chosen)
             self._pusher.streams.reseed(seeds + _PUSH_SEED, chosen)
             self._sensor.streams.reseed(seeds + _NOISE_SEED, chosen)
+            self.randomiser.streams.reseed(seeds + _RANDOM_SEED, chosen)
             self.sim.reset(seeds, chosen)
         self._begin(chosen)
 
@@ -161,7 +170,9 @@ class Simulation:
     def step(self) -> None:
         """Let one control period pass."""
         self.read()  # what nobody has asked for is sensed all the same, for the latency's sake
-        if self.config.push:
+        if self.randomiser.turn(self.control_period):
+            self.sim.set_parameters(gravity=self.randomiser.drawn.gravity)
+        if self._pusher.size.any():
             self.sim.push(self._pusher(self._steps))
         self._plant.step()
         self._steps += 1
@@ -179,6 +190,7 @@ class Simulation:
             "sensor": self._sensor.save(),
             "pushes": self._pusher.save(),
             "draws": self._draws.save()._asdict(),
+            "randomiser": self.randomiser.save(),
             "steps": self._steps.copy(),
             "state": self._state.arrays(),
             "seen": seen.arrays(),
@@ -197,6 +209,9 @@ class Simulation:
                 f"{'without' if limited else 'with'} them"
             )
         self.sim.restore(saved["simulator"])
+        self.randomiser.restore(saved["randomiser"])
+        if self.config.randomisation:
+            self._hold(self.randomiser.drawn)
         if isinstance(self._plant, LimitedHand):
             self._plant.restore(saved["limits"])
         self._sensor.restore(saved["sensor"])
@@ -217,11 +232,37 @@ class Simulation:
         self.close()
 
     def _begin(self, chosen: Bools) -> None:
+        self._randomise(chosen)
         if self._sampler is not None:
             index = self._sampler(self._draws.uniform((), chosen))
             noise = self._draws.normal((self.hand.nq,), chosen)
             self._put(self._sampler.states, index, self.config.disturbance * noise, chosen)
+        elif self._grasps is not None:  # placed again, with the parameters drawn
+            noise = self.config.disturbance * self._draws.normal((self.hand.nq,), chosen)
+            q, q_target, *pose = self._grasps.of(self.randomiser.drawn.object_size)
+            self.sim.set_grasp(q, q_target + noise, *pose, mask=chosen)
         self._start(chosen)
+
+    def _randomise(self, chosen: Bools) -> None:
+        """Draw what holds in the episodes that begin."""
+        if not self.config.randomisation:
+            return
+        self.randomiser.draw(chosen)
+        drawn = self.randomiser.drawn
+        physical = {name: getattr(drawn, name) for name in self.randomiser.physical}
+        self.sim.set_parameters(mask=chosen, **physical)
+        self._hold(drawn)
+
+    def _hold(self, drawn: Drawn) -> None:
+        """Make limits, sensors and pushes what was drawn."""
+        if isinstance(self._plant, LimitedHand):
+            self._plant.set_limits(
+                drawn.speed_limit, drawn.torque_limit, drawn.action_latency, drawn.kp
+            )
+        self._sensor.set_errors(
+            drawn.noise, drawn.sensor_latency, drawn.touch_threshold, drawn.touch_dropout
+        )
+        self._pusher.size = drawn.push_force
 
     def _put(
         self, states: GraspStates, index: np.ndarray, disturbance: Floats | float, chosen: Bools

@@ -183,7 +183,8 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         wanted = self.action.to_change(check_action(actions, (self.num_envs, self.hand.nq)))
         simulation, before = self.simulation, self.simulation.state
         broken = simulation.diverged  # none, unless those that are done are left as they are
-        simulation.write(before.q_target + self.action.limited(before, wanted))
+        # set-points are sent as the encoders have them, which may be off
+        simulation.write(simulation.read().q_target + self.action.limited(before, wanted))
         simulation.step()
         diverged = simulation.diverged
         self._count_diverged(diverged & ~broken)

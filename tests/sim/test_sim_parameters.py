@@ -104,19 +104,19 @@ def test_joints_each_with_their_own(cylinder: Scene) -> None:
     rng = np.random.default_rng(0)
     kp = cylinder.stiffness * rng.uniform(0.7, 1.3, (3, sim.hand.nq))
     dry = rng.uniform(0.0, 0.02, (3, sim.hand.nq))
-    sim.set_parameters(mask=[False, True, True], kp=kp, dry_friction=dry)
+    sim.set_parameters(mask=[False, True, True], kp=kp, gear_friction=dry)
     models = sim._parameters.models
     np.testing.assert_allclose(models[1].actuator_gainprm[cylinder.actuators, 0], kp[1])
     np.testing.assert_allclose(models[2].dof_frictionloss[cylinder.qvel_columns], dry[2])
     np.testing.assert_array_equal(models[0].actuator_gainprm, cylinder.model.actuator_gainprm)
     assert np.isnan(sim.parameters["kp"][0]).all()
     saved = sim.save()
-    sim.set_parameters(kp=1.0, dry_friction=0.0, friction=0.3)
+    sim.set_parameters(kp=1.0, gear_friction=0.0, friction=0.3)
     sim.restore(saved)
     models = sim._parameters.models
     np.testing.assert_allclose(models[1].actuator_gainprm[cylinder.actuators, 0], kp[1])
     np.testing.assert_array_equal(models[0].geom_friction, cylinder.model.geom_friction)
-    assert sim.parameters.keys() == {"kp", "dry_friction"}
+    assert sim.parameters.keys() == {"kp", "gear_friction"}
 
 
 def test_shapes_that_do_not_fit(cylinder: Scene) -> None:
