@@ -35,6 +35,7 @@ class GraspState:
             whose finger is not in contact are zero and are never read.
         object_position: object centre, ``(..., 3)`` [m], or None where nothing tracks it.
         object_quaternion: object orientation wxyz, ``(..., 4)``, or None.
+        gravity: ``(..., 3)`` [m/s^2], or None where nothing tells it.
         time: when the state was taken, ``(...)`` or one number for all [s].
         age: how old its oldest part is, ``(...)`` or one number for all [s].
 
@@ -50,6 +51,7 @@ class GraspState:
     contact_force: Floats
     object_position: Floats | None = None
     object_quaternion: Floats | None = None
+    gravity: Floats | None = None
     time: Floats | float = 0.0
     age: Floats | float = 0.0
 
@@ -67,6 +69,8 @@ class GraspState:
             _expect(self, "object_position", (*batch, 3))
         if self.object_quaternion is not None:
             _expect(self, "object_quaternion", (*batch, 4))
+        if self.gravity is not None:
+            _expect(self, "gravity", (*batch, 3))
         for name in ("time", "age"):
             value = getattr(self, name)
             if type(value) is not float:

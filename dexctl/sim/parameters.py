@@ -147,7 +147,7 @@ class ParameterSet:
     def value(self, name: str, default: Floats) -> Floats:
         """A parameter of every environment, ``default`` where it was not set."""
         if name not in self._values:
-            return np.broadcast_to(default, (self._count, *np.shape(default)))
+            return np.tile(default, (self._count, *(1,) * np.ndim(default)))
         return np.where(np.isnan(self._values[name]), default, self._values[name])
 
     def set(self, parameters: Mapping[str, ArrayLike], chosen: Bools | None = None) -> None:

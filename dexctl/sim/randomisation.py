@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,11 +13,13 @@ from dexctl.limits import HandLimits
 from dexctl.rotations import cross
 from dexctl.settings import Range
 from dexctl.sim.pushes import Push
-from dexctl.sim.scene import Scene
 from dexctl.sim.sensing import Sensing
 from dexctl.state import Bools, Floats
 from dexctl.streams import Streams, StreamsState
 from dexctl.validation import check_numbers
+
+if TYPE_CHECKING:
+    from dexctl.sim.scene import Scene
 
 _MAY_BE_ZERO = (
     "gear_friction_range", "action_latency_range", "sensor_latency_range", "noise_range",
@@ -226,20 +228,20 @@ class Randomiser:
 
     Args:
         config: the ranges.
-        nominal: what holds where nothing is drawn.
+        usual: what holds where nothing is drawn.
         streams: of the draws, ``(N,)``.
 
     Attributes:
         level: how much of the ranges is used, from 0 (everything nominal) to 1, in the episodes
             to come. A limit that is infinite in the scene counts as the range's high end there.
         drawn: what holds now.
-        streams: as given.
+        usual, streams: as given.
     """
 
-    def __init__(self, config: Randomisation, nominal: Drawn, streams: Streams) -> None:
+    def __init__(self, config: Randomisation, usual: Drawn, streams: Streams) -> None:
         self.config, self.streams = config, streams
         self.level = 1.0
-        self.drawn = self._nominal = nominal
+        self.drawn = self.usual = usual
 
     @property
     def physical(self) -> tuple[str, ...]:
@@ -256,10 +258,10 @@ class Randomiser:
     def draw(self, chosen: Bools) -> None:
         """Draw for the episodes that begin in the environments chosen, ``(N,)``."""
         found: dict[str, Floats] = {}
-        widths = [value[0].size for value in self._nominal]
+        widths = [value[0].size for value in self.usual]
         numbers = self.streams.uniform((sum(widths) + 2,), chosen)
         parts = np.split(numbers, np.cumsum(widths), axis=1)
-        for name, part, nominal in zip(Drawn._fields, parts, self._nominal, strict=False):
+        for name, part, nominal in zip(Drawn._fields, parts, self.usual, strict=False):
             uniform = part.reshape(nominal.shape)
             if name in _RANGES:
                 value = self._from_range(name, uniform, nominal)
@@ -271,7 +273,7 @@ class Randomiser:
             else:
                 continue
             found[name] = value
-        field, more = self._nominal.gravity, parts[-1]
+        field, more = self.usual.gravity, parts[-1]
         turned = parts[Drawn._fields.index("gravity")]
         found["gravity"] = self._tilted(field, turned[:, 0], turned[:, 1])
         found["gravity_turning"] = self._turning(
@@ -309,7 +311,7 @@ class Randomiser:
     def _turning(self, speed: Floats, direction: Floats) -> Floats:
         given = self.config.gravity_turning_range
         if given is None:
-            return self._nominal.gravity_turning
+            return self.usual.gravity_turning
         height = 2.0 * direction[:, 0] - 1.0
         across = np.sqrt(np.maximum(1.0 - height**2, 0.0))
         angle = 2.0 * np.pi * direction[:, 1]

@@ -289,6 +289,7 @@ class BatchSimulator:
             contact_force=touch.force,
             object_position=self._object_position(),
             object_quaternion=self._physics[:, self._layout.quaternion].copy(),
+            gravity=self._parameters.value("gravity", self.scene.gravity),
             time=self._clock(),
             age=np.full(self._count, self._timestep),
         )

@@ -8,7 +8,7 @@ from typing import Annotated
 from dexctl.settings import NESTED
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_numbers, check_whole
-from learning.envs.observation import DEFAULT_PARTS, PARTS, check_parts
+from learning.envs.observation import DEFAULT_PARTS, DRAWN, PARTS, check_names, check_parts
 from learning.envs.turning import TurningConfig
 
 
@@ -29,14 +29,19 @@ class EnvConfig:
     max_lead: float = 0.25
     """Set-points are kept this close to the measured joints [rad]."""
     parts: tuple[str, ...] = DEFAULT_PARTS
-    """What the policy observes, in this order; touch, object_position and object_quaternion may be
-    added."""
+    """What the policy observes, in this order; touch, gravity, object_position and
+    object_quaternion may be added."""
     critic_parts: tuple[str, ...] = ()
-    """What the critics observe beside it, without noise; the thesis has nothing here."""
+    """What the critics observe beside it, without noise, "drawn" (what randomisation drew for the
+    episode) among it; the thesis has nothing here."""
     scaled: bool = False
     """Whether observations are brought to about unit size; the thesis has them in SI units."""
 
     def __post_init__(self) -> None:
         check_numbers(self, positive=("max_speed", "max_lead"))
         check_whole(self, episode_steps=1)
-        check_parts((*self.parts, *self.critic_parts), {**PARTS, **self.task.parts})
+        known = {**PARTS, **self.task.parts}
+        check_parts(self.parts, known)
+        seen = (*self.parts, *self.critic_parts)
+        check_parts([name for name in seen if name != DRAWN], known)
+        check_names(seen)

@@ -93,7 +93,7 @@ class Observation:
         """The observation ``(..., k)`` of ``state``.
 
         Raises:
-            InvalidInput: a part needs the object's pose and the state has none.
+            InvalidInput: a part needs the object's pose, or gravity, and the state has none.
         """
         batch = state.batch_shape
         out = np.empty((*batch, self.size), np.float32)
@@ -101,8 +101,8 @@ class Observation:
             value = part.read(state)
             if value is None:
                 raise InvalidInput(
-                    f"the observation part {name!r} needs the object's pose, which this state "
-                    "does not have"
+                    f"the observation part {name!r} needs {part.needs}, which this state does "
+                    "not have"
                 )
             if self.scaled:
                 value = self._scale(name, value, state)
@@ -157,6 +157,7 @@ class Part:
         size: number of values for d joints and m fingers.
         read: the values of a state, None where it does not have them.
         bounds: least and greatest value.
+        needs: what a state must tell for it.
     """
 
     def __init__(
@@ -164,8 +165,9 @@ class Part:
         size: Callable[[int, int], int],
         read: Callable[[GraspState], Floats | None],
         bounds: tuple[float, float] = (-np.inf, np.inf),
+        needs: str = "the object's pose",
     ) -> None:
-        self.size, self.read, self.bounds = size, read, bounds
+        self.size, self.read, self.bounds, self.needs = size, read, bounds, needs
 
 
 def _upper_half(quaternion: Floats | None) -> Floats | None:
@@ -174,6 +176,16 @@ def _upper_half(quaternion: Floats | None) -> Floats | None:
         return None
     return np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
+
+def _direction(vector: Floats | None) -> Floats | None:
+    """Unit vectors; zero where there is none."""
+    if vector is None:
+        return None
+    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)
+
+
+DRAWN = "drawn"
+"""The part that only critics have: what was drawn for an episode."""
 
 PARTS: dict[str, Part] = {
     "q": Part(lambda d, m: d, lambda state: state.q),
@@ -185,6 +197,9 @@ PARTS: dict[str, Part] = {
     "object_position": Part(lambda d, m: 3, lambda state: state.object_position),
     "object_quaternion": Part(
         lambda d, m: 4, lambda state: _upper_half(state.object_quaternion), (-1.0, 1.0)
+    ),
+    "gravity": Part(
+        lambda d, m: 3, lambda state: _direction(state.gravity), (-1.0, 1.0), "gravity's direction"
     ),
 }
 

@@ -19,6 +19,7 @@ from dexctl.sim.simulation import Simulation
 from dexctl.state import Bools, Floats, GraspState
 from learning.envs.action import SetPointAction, check_action
 from learning.envs.config import EnvConfig
+from learning.envs.drawn import drawn_part
 from learning.envs.observation import Observation
 from learning.envs.rendering import RENDER_MODES, Renderer
 from learning.envs.task import Step
@@ -107,7 +108,8 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         self._begun(np.ones(self.num_envs, bool))
 
     def _observe_with(self) -> None:
-        config, parts = self.config, self.task.parts
+        config = self.config
+        parts = {**self.task.parts, **drawn_part(self.simulation)}
         options = {
             "scaled": config.scaled,
             "centre": self.simulation.sim.groups[0].scene.grasp_centre,

@@ -44,6 +44,7 @@ def state(dex5: dexctl.HandModel) -> dexctl.GraspState:
         contact_force=touch * 2.0,
         object_position=np.array([[0.0, 0.0, 0.1], [0.01, 0.0, 0.13]]),
         object_quaternion=np.array([[1.0, 0.0, 0.0, 0.0], [-0.6, 0.8, 0.0, 0.0]]),
+        gravity=np.array([[0.0, 0.0, -9.81], [0.0, 6.0, 8.0]]),
     )
 
 
@@ -85,6 +86,7 @@ def test_scaled_observations_by_hand(dex5: dexctl.HandModel, state: dexctl.Grasp
     np.testing.assert_allclose(vector[:, at["q"]], (state.q - middle) / half, atol=1e-6)
     np.testing.assert_allclose(vector[1, at["object_position"]], [0.2, 0.0, 0.6], atol=1e-6)
     np.testing.assert_allclose(vector[:, at["contact_force"]], [[1, 1, 1, 1, 0]] * 2)
+    np.testing.assert_allclose(vector[:, at["gravity"]], [[0, 0, -1], [0, 0.6, 0.8]], atol=1e-6)
     position = vector[0, at["contact_position"]].reshape(5, 3)
     np.testing.assert_allclose(position[0], [2.0, 2.02, 0.04], atol=1e-5)
     np.testing.assert_array_equal(position[4], 0.0)

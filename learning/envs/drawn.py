@@ -1,0 +1,60 @@
+"""What was drawn for an episode, as a part of what critics observe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dexctl.sim.randomisation import Drawn
+from dexctl.sim.simulation import Simulation
+from dexctl.state import Floats
+from learning.envs.observation import DRAWN, Part
+
+# what brings each to about unit size, from the value where nothing is drawn
+_SCALES = {
+    "friction": 0.5,  # [1]
+    "object_mass": 0.1,  # [kg]
+    "object_size": 0.1,  # [1]
+    "centre_of_mass": 0.005,  # [m]
+    "gear_friction": 0.02,  # [N m]
+    "gravity_turning": 0.5,  # [rad/s]
+    "speed_limit": 1.0,  # [rad/s]
+    "torque_limit": 0.5,  # [N m]
+    "action_latency": 0.05,  # [s]
+    "noise": 1.0,  # [1]
+    "sensor_latency": 0.05,  # [s]
+    "touch_threshold": 0.5,  # [N]
+    "touch_dropout": 0.1,  # [1]
+    "push_force": 0.5,  # [N]
+}
+_SHARES = ("kp", "kv", "damping")  # of what they usually are, by tenths
+
+
+def drawn_part(simulation: Simulation) -> Mapping[str, Part]:
+    """The part "drawn": what holds in each episode, as deviations from what usually does.
+
+    Gravity is a part of its own. A limit that there is not counts as not deviating.
+    """
+    usual = simulation.randomiser.usual
+    size = features(usual, usual).shape[1]
+    return {
+        DRAWN: Part(lambda d, m: size, lambda state: features(simulation.randomiser.drawn, usual))
+    }
+
+
+def features(drawn: Drawn, usual: Drawn) -> Floats:
+    """``(N, k)`` numbers of about unit size."""
+    found = []
+    with np.errstate(invalid="ignore"):
+        for name, value in drawn._asdict().items():
+            nominal = getattr(usual, name)
+            if name in _SHARES:
+                part = (value / np.where(nominal > 0, nominal, 1.0) - 1.0) * (nominal > 0) / 0.3
+            elif name in _SCALES:
+                nominal = np.where(np.isfinite(nominal), nominal, 0.0)
+                part = np.where(np.isfinite(value), (value - nominal) / _SCALES[name], 0.0)
+            else:
+                continue
+            found.append(part.reshape(len(value), -1))
+    return np.concatenate(found, axis=1)

@@ -1,0 +1,57 @@
+"""Randomised environments: what policies and critics see of it, and set-points stay true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.sim import SceneConfig
+from dexctl.sim.randomisation import Randomisation
+from dexctl.sim.sensing import Sensing
+from learning.envs import EnvConfig, ManipulationVectorEnv
+
+DRAWS = Randomisation(mass_range=(0.05, 0.25), stiffness_range=(0.7, 1.3), gravity_tilt=np.pi)
+
+
+def env(**scene: object) -> ManipulationVectorEnv:
+    config = EnvConfig(
+        scene=SceneConfig(object=("cylinder",), threads=1, **scene),  # type: ignore[arg-type]
+        parts=("q", "gravity"),
+        critic_parts=("object_position", "drawn"),
+        scaled=True,
+    )
+    return ManipulationVectorEnv(config, 4, 0)
+
+
+def test_critics_see_what_was_drawn_and_policies_gravity() -> None:
+    made = env(randomisation=DRAWS)
+    seen, _ = made.reset(seed=0)
+    drawn = made.simulation.randomiser.drawn
+    policy, critic = seen[:, made.groups["policy"]], seen[:, made.groups["critic"]]
+    np.testing.assert_allclose(policy[:, -3:], drawn.gravity / 9.81, atol=1e-6)
+    columns = made.observations[1].slices["drawn"]
+    more = critic[:, made.observation.size :][:, columns]
+    np.testing.assert_allclose(more[:, 1], (drawn.object_mass - 0.1) / 0.1, atol=1e-5)
+    assert np.abs(more).max() < 3.0
+    assert len(np.unique(more[:, 1])) == 4
+    usual = env().reset(seed=0)[0][:, -more.shape[1] :]
+    assert not usual.any()
+    np.testing.assert_array_equal(seen[:, -3:].shape, (4, 3))
+
+
+def test_set_points_stay_where_no_action_asks_for_more() -> None:
+    """Encoders that are off must not make set-points creep."""
+    made = env(sensing=Sensing(joint_offset=0.05))
+    made.reset(seed=0)
+    before = made.state.q_target
+    for _ in range(5):
+        made.step(np.zeros((4, made.hand.nq)))
+    np.testing.assert_allclose(made.state.q_target, before, atol=1e-12)
+
+
+def test_only_critics_see_what_was_drawn() -> None:
+    with pytest.raises(UnknownName, match="unknown observation part 'drawn'"):
+        EnvConfig(parts=("q", "drawn"))
+    with pytest.raises(InvalidInput, match="each named once"):
+        EnvConfig(critic_parts=("drawn", "drawn"))

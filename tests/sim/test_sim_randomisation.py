@@ -1,0 +1,267 @@
+"""Randomisation: what is drawn, from which ranges, and that it takes effect in its environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dexctl.exceptions import InvalidInput
+from dexctl.limits import HandLimits
+from dexctl.settings import from_plain, to_plain
+from dexctl.sim import BatchSimulator, LimitedHand, Scene, SceneConfig
+from dexctl.sim.pushes import Push
+from dexctl.sim.randomisation import Drawn, Randomisation, Randomiser, nominal
+from dexctl.sim.sensing import Sensing, Sensor
+from dexctl.sim.simulation import Simulation
+from dexctl.state import GraspState
+from dexctl.streams import Streams
+
+EVERYTHING = Randomisation(
+    friction_range=(0.6, 1.4),
+    mass_range=(0.05, 0.25),
+    size_range=(0.9, 1.1),
+    centre_of_mass=0.005,
+    stiffness_range=(0.7, 1.3),
+    damping_range=(0.7, 1.3),
+    gear_friction_range=(0.0, 0.02),
+    speed_range=(0.6, 3.0),
+    torque_range=(0.5, 1.0),
+    action_latency_range=(0.0, 0.05),
+    noise_range=(0.0, 1.0),
+    sensor_latency_range=(0.0, 0.1),
+    touch_threshold_range=(0.05, 0.5),
+    touch_dropout_range=(0.0, 0.1),
+    push_range=(0.0, 0.5),
+    gravity_tilt=np.pi,
+    gravity_turning_range=(0.0, 0.5),
+)
+NOISE = Sensing(joint_noise=0.02, joint_offset=0.03, position_noise=0.002, force_noise_share=0.2)
+
+
+@pytest.fixture(scope="module")
+def cylinder() -> Scene:
+    return Scene.build("dex5", "cylinder")
+
+
+def randomiser(scene: Scene, config: Randomisation, count: int, seed: int = 0) -> Randomiser:
+    usual = nominal([(scene, count)], Sensing(), HandLimits(), Push())
+    return Randomiser(config, usual, Streams(seed, (count,)))
+
+
+def test_numbers_are_uniform_in_their_ranges(cylinder: Scene) -> None:
+    made = randomiser(cylinder, EVERYTHING, 4000)
+    made.draw(np.ones(4000, bool))
+    drawn = made.drawn
+    for name, low, high in (
+        ("friction", 0.6, 1.4),
+        ("object_mass", 0.05, 0.25),
+        ("speed_limit", 0.6, 3.0),
+        ("sensor_latency", 0.0, 0.1),
+        ("touch_dropout", 0.0, 0.1),
+    ):
+        values = getattr(drawn, name)
+        assert low <= values.min() < low + 0.01 * (high - low)
+        assert high - 0.01 * (high - low) < values.max() <= high
+        assert values.mean() == pytest.approx((low + high) / 2, abs=0.02 * (high - low))
+    share = drawn.kp / cylinder.stiffness
+    assert share.min() >= 0.7
+    assert share.max() <= 1.3
+    assert np.unique(share.round(9)).size > 4000  # each servo its own
+    assert set(np.unique(drawn.object_size.round(6))) == {0.9, 0.95, 1.0, 1.05, 1.1}
+    assert np.abs(drawn.centre_of_mass).max() == pytest.approx(0.005, rel=0.01)
+
+
+def test_gravity_points_anywhere_or_within_a_cap(cylinder: Scene) -> None:
+    for most, mean in ((np.pi, 0.0), (0.5, (1 + np.cos(0.5)) / 2)):
+        made = randomiser(cylinder, Randomisation(gravity_tilt=most), 4000)
+        made.draw(np.ones(4000, bool))
+        gravity = made.drawn.gravity
+        np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), 9.81)
+        down = -gravity[:, 2] / 9.81
+        assert down.min() >= np.cos(most) - 1e-9
+        assert down.mean() == pytest.approx(mean, abs=0.03)  # the height on a sphere is uniform
+        assert np.abs(gravity[:, :2].mean(axis=0)).max() < 0.3
+
+
+def test_gravity_turns_about_its_axis(cylinder: Scene) -> None:
+    made = randomiser(cylinder, Randomisation(gravity_turning_range=(0.3, 0.3)), 5)
+    made.draw(np.ones(5, bool))
+    before, turning = made.drawn.gravity, made.drawn.gravity_turning
+    np.testing.assert_allclose(np.linalg.norm(turning, axis=1), 0.3)
+    assert made.turn(1e-4)
+    rate = (made.drawn.gravity - before) / 1e-4
+    np.testing.assert_allclose(rate, np.cross(turning, before), atol=1e-3)
+    for _ in range(1000):
+        made.turn(0.05)
+    np.testing.assert_allclose(np.linalg.norm(made.drawn.gravity, axis=1), 9.81)
+
+
+def test_level_narrows_ranges_towards_what_is_usual(cylinder: Scene) -> None:
+    made = randomiser(cylinder, EVERYTHING, 500)
+    usual = made.drawn
+    made.level = 0.0
+    made.draw(np.ones(500, bool))
+    for name in Drawn._fields:
+        if name not in ("speed_limit", "torque_limit"):
+            np.testing.assert_allclose(getattr(made.drawn, name), getattr(usual, name), atol=1e-12)
+    assert set(made.drawn.speed_limit) == {3.0}  # no limit is the range's high end
+    made.level = 0.5
+    made.draw(np.ones(500, bool))
+    assert 0.8 <= made.drawn.friction.min() < 0.82
+    tilt = np.arccos(np.clip(-made.drawn.gravity[:, 2] / 9.81, -1, 1))
+    assert tilt.max() <= np.pi / 2 + 1e-9
+
+
+def test_one_range_more_leaves_the_others_as_they_are(cylinder: Scene) -> None:
+    one = randomiser(cylinder, Randomisation(mass_range=(0.1, 0.2)), 8)
+    two = randomiser(cylinder, Randomisation(mass_range=(0.1, 0.2), gravity_tilt=1.0), 8)
+    for made in (one, two):
+        made.draw(np.arange(8) % 2 == 0)
+        made.draw(np.ones(8, bool))
+    np.testing.assert_array_equal(one.drawn.object_mass, two.drawn.object_mass)
+
+
+def test_an_environment_of_a_batch_is_one_alone() -> None:
+    config = SceneConfig(object=("cylinder",), randomisation=EVERYTHING, sensing=NOISE, threads=1)
+    with Simulation(config, 3, 5) as batch, Simulation(config, 1, 7) as single:
+        for step in range(25):
+            seen, alone = batch.read(), single.read()
+            for name, value in alone.arrays().items():
+                if value is not None:
+                    np.testing.assert_array_equal(
+                        np.asarray(getattr(seen, name))[2], value[0], name
+                    )
+            change = 0.02 * np.sin(step + np.arange(batch.hand.nq))
+            batch.write(seen.q_target + change)
+            single.write(alone.q_target + change)
+            batch.step()
+            single.step()
+            if step == 12:
+                batch.reset(None, np.array([True, False, True]))
+                single.reset(None, np.ones(1, bool))
+
+
+def test_a_restored_simulation_goes_on_with_the_same_bits() -> None:
+    config = SceneConfig(object=("cylinder",), randomisation=EVERYTHING, sensing=NOISE, threads=1)
+
+    def advance(sim: Simulation, steps: int) -> GraspState:
+        for step in range(steps):
+            sim.write(sim.read().q_target + 0.01)
+            sim.step()
+            if step % 4 == 1:
+                sim.reset(None, np.array([True, False, False]))
+        return sim.read()
+
+    with Simulation(config, 3, 1) as sim, Simulation(config, 3, 99) as other:
+        advance(sim, 6)
+        saved = sim.save()
+        expected = advance(sim, 9)
+        other.restore(saved)
+        found = advance(other, 9)
+    for name, value in expected.arrays().items():
+        if value is not None:
+            np.testing.assert_array_equal(getattr(found, name), value, name)
+
+
+def test_every_size_begins_in_a_grasp() -> None:
+    config = SceneConfig(object=("cylinder", "cube"), randomisation=EVERYTHING, threads=1)
+    with Simulation(config, 40, 0) as sim:
+        touching = sim.state.in_contact.sum(axis=1)
+        assert np.unique(sim.randomiser.drawn.object_size).size == 5
+        assert (touching >= 4).all()
+        start = sim.state.object_position
+        for _ in range(20):
+            sim.write(sim.read().q_target)
+            sim.step()
+        moved = np.linalg.norm(sim.state.object_position - start, axis=1)  # type: ignore[operator]
+    assert (moved < 0.05).mean() > 0.9
+
+
+def test_limits_of_each_hand(cylinder: Scene) -> None:
+    speed, latency = np.array([0.6, np.inf, 1.0]), np.array([0.0, 0.075, 0.1])
+    with BatchSimulator(cylinder, 3, threads=1, disturbance=0.0) as sim:
+        many = LimitedHand(sim, HandLimits(), cylinder.stiffness)
+        many.set_limits(speed, np.full(3, np.inf), latency, cylinder.stiffness)
+        start = sim.read().q_target
+        applied = []
+        for _ in range(6):
+            many.write(start + 0.2)
+            many.step()
+            applied.append(sim.read().q_target[:, 0] - start[:, 0])
+    for i in range(3):
+        limit = None if np.isinf(speed[i]) else float(speed[i])
+        limits = HandLimits(speed_limit=limit, action_latency=float(latency[i]))
+        with BatchSimulator(cylinder, 1, threads=1, disturbance=0.0) as sim:
+            alone = LimitedHand(sim, limits, cylinder.stiffness)
+            for k in range(6):
+                alone.write(start[:1] + 0.2)
+                alone.step()
+                got = sim.read().q_target[0, 0] - start[0, 0]
+                assert got == pytest.approx(applied[k][i], abs=1e-12)
+
+
+def made_up(count: int, value: float) -> GraspState:
+    return GraspState(
+        q=np.full((count, 2), value),
+        q_target=np.zeros((count, 2)),
+        in_contact=np.ones((count, 2), bool),
+        contact_position=np.full((count, 2, 3), value),
+        contact_normal=np.tile([0.0, 0.0, 1.0], (count, 2, 1)),
+        contact_force=np.tile([0.2, 0.6], (count, 1)),
+        time=np.full(count, value),
+        age=np.zeros(count),
+    )
+
+
+def test_sensors_of_each_environment() -> None:
+    sensor = Sensor(Sensing(), Streams(0, (3,)), 0.1)
+    threshold = np.array([[0.0, 0.0], [0.5, 0.5], [0.0, 0.7]])
+    sensor.set_errors(np.ones(3), np.array([0.0, 0.2, 0.1]), threshold, np.zeros(3))
+    sensor(made_up(3, 0.0), np.ones(3, bool))
+    for step in range(1, 6):
+        seen = sensor(made_up(3, 0.1 * step))
+    np.testing.assert_allclose(seen.q[:, 0], [0.5, 0.3, 0.4])
+    np.testing.assert_allclose(seen.age, [0.0, 0.2, 0.1])
+    np.testing.assert_array_equal(seen.in_contact, [[1, 1], [0, 1], [1, 0]])
+    assert not seen.contact_force[~seen.in_contact].any()
+
+
+def test_touch_drops_out_as_often_as_drawn() -> None:
+    sensor = Sensor(Sensing(), Streams(0, (2,)), 0.1)
+    sensor.set_errors(np.ones(2), np.zeros(2), np.zeros((2, 2)), np.array([0.0, 0.2]))
+    sensor(made_up(2, 0.0), np.ones(2, bool))
+    felt = np.mean([sensor(made_up(2, 0.0)).in_contact for _ in range(1000)], axis=(0, 2))
+    assert felt[0] == 1.0
+    assert felt[1] == pytest.approx(0.8, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"friction_range": (1.2, 0.8)}, r"friction_range is \(1.2, 0.8\); expected two finite"),
+        ({"mass_range": (0.0, 0.2)}, r"mass_range is .*above 0 on, the lower one first"),
+        ({"push_range": (0.0, np.nan)}, "push_range is"),
+        ({"touch_dropout_range": (0.0, 1.5)}, "touch_dropout_range is .*expected shares, 0 to 1"),
+        ({"gravity_tilt": 4.0}, "gravity_tilt is 4.0; expected 0 to pi"),
+        ({"centre_of_mass": -1.0}, "centre_of_mass is -1.0"),
+    ],
+)
+def test_ranges_that_are_none(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        Randomisation(**settings)
+
+
+def test_sizes_and_given_starts_do_not_go_together(tmp_path: Any) -> None:
+    with pytest.raises(InvalidInput, match="size_range is .* and initial_states is"):
+        SceneConfig(randomisation=EVERYTHING, initial_states=tmp_path / "states.npz")
+
+
+def test_as_plain_values() -> None:
+    config = SceneConfig(randomisation=EVERYTHING)
+    assert from_plain(SceneConfig, to_plain(config)) == config
+    assert from_plain(SceneConfig, {"mass_range": [0.1, 0.2]}).randomisation.mass_range == (
+        0.1,
+        0.2,
+    )
