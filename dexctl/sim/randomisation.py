@@ -196,7 +196,7 @@ def nominal(
 
     return Drawn(
         friction=each(lambda scene: scene.friction())[:, 0],
-        object_mass=each(lambda scene: scene.model.body("object").mass)[:, 0],
+        object_mass=each(lambda scene: scene.model.body(scene.object_body).mass)[:, 0],
         object_size=one(1.0),
         centre_of_mass=np.zeros((count, 3)),
         kp=each(lambda scene: scene.stiffness),
