@@ -27,6 +27,12 @@ def aside(path: Path) -> Iterator[Path]:
     _sync(path.parent)
 
 
+def is_path(text: str | Path) -> bool:
+    """Whether a text is meant as the path of a file, and not as a name: it has a suffix or a /."""
+    path = Path(text)
+    return isinstance(text, Path) or bool(path.suffix) or len(path.parts) > 1
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole."""
     with aside(path) as part:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -225,6 +226,13 @@ class HandModel:
                 raise UnknownName("joint", joint, self.joint_names)
             q[self.joint_names.index(joint)] = angle
         return self.clip(q)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 over the hand's settings and files; see `dexctl.hands.identity`."""
+        from dexctl.hands.identity import digest
+
+        return digest(self.config, self.path)
 
     def __reduce__(self) -> tuple[type, tuple]:
         return type(self), self._arguments  # pinocchio's data is rebuilt, not pickled

@@ -29,9 +29,13 @@ import numpy as np
 import tyro
 
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.files import is_path
 
 C = TypeVar("C")
 T = TypeVar("T")
+
+FILE_OR_NAME = "a file, or a name"
+"""Marks a text that may be the path of a file (`dexctl.files.is_path`); see `absolute`."""
 
 NESTED = tyro.conf.arg(name="")
 """Marks a nested configuration whose settings go without its name on the command line."""
@@ -203,15 +207,27 @@ def absolute(config: C, folder: Path) -> C:
 
     So what is written down holds wherever it is read.
     """
-    files = {path: get(config, path) for path in paths(type(config))}
-    return changed(
-        config,
-        {
-            path: (folder / file.expanduser()).resolve()
-            for path, file in files.items()
-            if isinstance(file, Path)
-        },
-    )
+    found = {}
+    for path in paths(type(config)):
+        value = get(config, path)
+        if isinstance(value, Path):
+            found[path] = (folder / value.expanduser()).resolve()
+        elif isinstance(value, str) and is_path(value) and path in _files_or_names(type(config)):
+            found[path] = str((folder / Path(value).expanduser()).resolve())
+    return changed(config, found)
+
+
+@cache
+def _files_or_names(kind: type) -> frozenset[str]:
+    """The dotted paths of the settings that are marked with `FILE_OR_NAME`."""
+    found = set()
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        plain = _hints(kind).get(name)
+        if is_dataclass(plain):
+            found |= {f"{name}.{path}" for path in _files_or_names(cast(type, plain))}
+        elif get_origin(hint) is Annotated and FILE_OR_NAME in get_args(hint):
+            found.add(name)
+    return frozenset(found)
 
 
 def differing(a: Any, b: Any) -> list[str]:

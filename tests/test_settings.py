@@ -16,6 +16,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import (
     NESTED,
     Vector,
+    absolute,
     by_path,
     changed,
     difference,
@@ -27,6 +28,7 @@ from dexctl.settings import (
     paths,
     to_plain,
 )
+from learning.envs import EnvConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,3 +166,13 @@ def test_unknown_names(name: str) -> None:
         UnknownName, match="unknown setting (of scene )?.*; known: (scene, kind|object, grav)"
     ):
         changed(Run(), {name: 1})
+
+
+def test_a_hand_from_a_file_is_absolute_and_one_by_name_stays(tmp_path: Path) -> None:
+    for hand, expected in (
+        ("dex5", "dex5"),
+        ("mine.toml", str(tmp_path / "mine.toml")),
+        ("hands/mine.urdf", str(tmp_path / "hands" / "mine.urdf")),
+    ):
+        config = from_plain(EnvConfig, {"hand": hand})
+        assert absolute(config, tmp_path).scene.hand == expected

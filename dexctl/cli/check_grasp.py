@@ -162,7 +162,7 @@ class CheckGrasp:
 
     def _print(self, found: dict[str, Any]) -> None:
         console, many = results(), found["grasps"] > 1
-        what = f"{self.scene.hand} holds a {self.scene.object[0]}, {self.scene.palm}"
+        what = f"{self.scene.hand_name} holds a {self.scene.object[0]}, {self.scene.palm}"
         kind = "disturbed grasps" if self.scene.initial_states is None else "grasps of the file"
         count = f": {found['grasps']} {kind}, median (lowest to highest)" if many else ""
         console.print(f"[bold]{what}{count}[/bold]")

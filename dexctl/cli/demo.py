@@ -169,7 +169,7 @@ class _Work:
         demo = self.demo
         console = results()
         console.print(
-            f"[bold]{demo.scene.hand} turns a {self.scene.object} {words.about(demo.axis)}, "
+            f"[bold]{demo.scene.hand_name} turns a {self.scene.object} {words.about(demo.axis)}, "
             f"{demo.scene.palm}: one trial of {demo.seconds:g} s each, seed {demo.seed}[/bold]",
             soft_wrap=True,
         )
@@ -236,7 +236,7 @@ class _Work:
         self.files.append(path)
         if self.stills:
             trial = self.best
-            title = f"{demo.scene.hand} turning a {self.scene.object}: {title_of(trial.name)}"
+            title = f"{demo.scene.hand_name} turning a {self.scene.object}: {title_of(trial.name)}"
             path = self.folder / "picture.png"
             write_bytes(path, compose(trial.trace, self.stills, title))
             self.files.append(path)

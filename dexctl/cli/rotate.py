@@ -181,7 +181,7 @@ class Rotate:
         title, scene = title_of(self.controller), self.scene
         console, shown = results(), table()
         console.print(
-            f"[bold]{title}: {scene.hand} turns a {scene.object[0]} {words.about(self.axis)}, "
+            f"[bold]{title}: {scene.hand_name} turns a {scene.object[0]} {words.about(self.axis)}, "
             f"{scene.palm}[/bold]\n"
             f"{self.num_envs} trials of {self.seconds:g} s, seeds {self.seed} to "
             f"{self.seed + self.num_envs - 1}; median (10 % to 90 %), share (95 % interval)\n",

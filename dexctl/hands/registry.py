@@ -12,6 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from dexctl.exceptions import HandModelError, UnknownName
+from dexctl.files import is_path
 from dexctl.hand import HandModel
 from dexctl.hand_config import HandConfig
 
@@ -35,24 +36,10 @@ def is_own(hand: str) -> bool:
     return hand in _OWN
 
 
-def is_file(hand: str | Path) -> bool:
-    """Whether ``hand`` is meant as a file and not as a name."""
-    path = Path(hand)
-    return isinstance(hand, Path) or bool(path.suffix) or len(path.parts) > 1
-
-
 def check(hand: str | Path) -> None:
-    """Raise where there is no such hand; loads nothing.
-
-    Raises:
-        UnknownName: no such name.
-        HandModelError: no such file.
-    """
-    if is_file(hand):
-        if not Path(hand).expanduser().is_file():
-            raise HandModelError(f"{hand}: no such file; a hand is a .toml, .xml or .urdf file")
-    elif hand not in names():
-        raise UnknownName("hand", hand, [*names(), "a file: .toml, .xml or .urdf"])
+    """Raise UnknownName where there is no hand of that name; files are not looked for."""
+    if not is_path(hand) and hand not in names():
+        raise UnknownName("hand", hand, [*names(), "a file (.toml, .xml, .urdf)"])
 
 
 def config(hand: str | Path) -> HandConfig:
@@ -67,7 +54,9 @@ def config(hand: str | Path) -> HandConfig:
         HandModelError, InvalidInput: the file is not there or not well made.
     """
     check(hand)
-    if is_file(hand):
+    if is_path(hand):
+        if not Path(hand).expanduser().is_file():
+            raise HandModelError(f"{hand}: no such file; a hand is a .toml, .xml or .urdf file")
         if Path(hand).suffix.lower() == ".toml":
             return HandConfig.read(hand)
         from dexctl.hands.proposals import propose  # needs MuJoCo for an MJCF

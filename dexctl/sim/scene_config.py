@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from dexctl import hands
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.files import is_path
 from dexctl.hand import HandModel
 from dexctl.limits import HandLimits
-from dexctl.settings import NESTED, Vector
+from dexctl.settings import FILE_OR_NAME, NESTED, Vector
 from dexctl.sim.checks import gravity_vector
 from dexctl.sim.pushes import Push
 from dexctl.sim.randomisation import Randomisation
@@ -42,8 +43,9 @@ class SceneConfig:
         UnknownName, InvalidInput: a setting is wrong; the message names it.
     """
 
-    hand: str = "dex5"
-    """Name of the hand (`dexctl hands` lists them)."""
+    hand: Annotated[str, FILE_OR_NAME] = "dex5"
+    """Name of the hand (`dexctl hands list` has them), or its file: a toml that `dexctl hands add`
+    wrote, or an MJCF or URDF where what can be guessed from it suffices."""
     object: tuple[str, ...] = ("cube",)
     """Name of the object, or of several; the environments of a batch are shared out among them."""
     object_size: float | None = None
@@ -158,6 +160,11 @@ class SceneConfig:
         for scene in found:  # before they settle
             set_on(scene, self.parameters)
         return found
+
+    @property
+    def hand_name(self) -> str:
+        """The hand, for people."""
+        return Path(self.hand).stem if is_path(self.hand) else self.hand
 
     @property
     def palm(self) -> str:

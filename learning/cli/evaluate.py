@@ -81,6 +81,9 @@ class Evaluate:
         protocol = self.protocol
         check_seconds(protocol.seconds, protocol.scene.control_period)
         trained = self._trained(protocol.scene.hand)
+        for one in trained:
+            if remark := one.subject.remark:
+                notes().print(f"dexctl: {remark}", markup=False)
         own = tuple(one.object for one in trained if self.transfer)
         replace(protocol.scene, object=(*own, *protocol.scene.object)).check_objects()
         folder = None if self.out is None else make_folder(self.out)

@@ -12,6 +12,7 @@ from rich.table import Table
 from dexctl.cli.output import facts, notes, results, table, to_json
 from dexctl.exceptions import MissingExtra
 from dexctl.files import write_text
+from dexctl.hands.identity import identity
 from dexctl.report.machine import machine
 from dexctl.report.words import about, interval
 from dexctl.settings import to_plain
@@ -35,6 +36,8 @@ def described(
         what: dict[str, Any] = {"transfer": matrix.to_dict(), "cards": cards}
     else:
         what = {"policy": trained[0].name, "card": cards[0]}
+        what["hand"] = identity(trained[0].subject.controller.hand)
+        what["remark"] = trained[0].subject.remark
         what["results"] = [
             {"object": one.object, "disturbance": levels_of(one.protocol), **one.to_dict()}
             for one in found

@@ -102,7 +102,7 @@ def _about(controller: Controller, name: str, protocol: Protocol) -> dict[str, A
         "format": FORMAT,
         "dexctl": dexctl.__version__,
         "controller": fingerprint(controller),
-        "hand": controller.hand.name,
+        "hand": controller.hand.digest,
         "control_period": controller.control_period,
         "protocol": to_plain(how),
         "files": {path: _digest(file) for path, file in files.items() if isinstance(file, Path)},

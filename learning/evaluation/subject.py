@@ -16,7 +16,7 @@ from dexctl.settings import Vector, changed, from_plain, get, leaves
 from dexctl.validation import unit_axis
 from learning.config import TrainConfig
 from learning.evaluation.protocol import Protocol
-from learning.policies import Policy, load, names
+from learning.policies import Policy, load, names, other_hand
 from learning.training.run_folder import RunFolder
 
 
@@ -58,6 +58,11 @@ class Subject:
     def guides(self) -> tuple[str, ...]:
         """Names of the controllers that guided the training; empty without."""
         return () if self.trained is None else self.trained.guides
+
+    @property
+    def remark(self) -> str | None:
+        """What to know before its figures are read: a policy on another hand than in training."""
+        return other_hand(self.controller) if isinstance(self.controller, Policy) else None
 
     def protocol(self, **changes: Any) -> Protocol:
         """As in training, but undisturbed: without noise, late sensors, pushes and given starts.

@@ -15,9 +15,9 @@ from dexctl import hands
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from learning.policies.file import read, save
-from learning.policies.policy import Layer, Policy, PolicySpec
+from learning.policies.policy import Layer, Policy, PolicySpec, other_hand
 
-__all__ = ["Layer", "Policy", "PolicySpec", "learned", "load", "names", "save"]
+__all__ = ["Layer", "Policy", "PolicySpec", "learned", "load", "names", "other_hand", "save"]
 
 FOLDER = Path(__file__).parent
 IN_RUN = "policy.npz"

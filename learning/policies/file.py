@@ -195,7 +195,7 @@ def _check_card(card: Any) -> None:
     _check_keys(card, "card", ("spec", "layers"), also=True)
     spec = card["spec"]
     _check_keys(spec, "spec", PolicySpec._fields)
-    _expect(_is_name(spec["hand"]), "hand", spec["hand"], "a name")
+    _expect(_is_name(spec["hand"], 4096), "hand", spec["hand"], "a name, or a file")
     _expect(_is_name(spec["activation"]), "activation", spec["activation"], "a name")
     for key in ("joint_names", "fingertip_names"):
         _expect(_is_names(spec[key]), key, spec[key], "a list of names")
@@ -230,8 +230,8 @@ def _expect(good: bool, name: str, value: Any, wanted: object) -> None:
         raise InvalidInput(f"{name} is {short(value)}; expected {wanted}")
 
 
-def _is_name(value: Any) -> bool:
-    return isinstance(value, str) and 0 < len(value) <= 200
+def _is_name(value: Any, longest: int = 200) -> bool:
+    return isinstance(value, str) and 0 < len(value) <= longest
 
 
 def _is_names(value: Any) -> bool:

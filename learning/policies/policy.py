@@ -102,6 +102,21 @@ class PolicySpec(NamedTuple):
             )
 
 
+def other_hand(policy: Policy) -> str | None:
+    """What to know where a policy acts with another hand than it was trained with.
+
+    None where it is the same to the last bit, or where the card does not say which it was.
+    """
+    trained = policy.card.get("hand")
+    own = trained.get("sha256") if isinstance(trained, Mapping) else None
+    if not isinstance(own, str) or own == policy.hand.digest:
+        return None
+    return (
+        f"the policy was trained with the hand {policy.spec.hand} (sha256 {own[:12]}); this is "
+        f"another: {policy.hand.name} (sha256 {policy.hand.digest[:12]})"
+    )
+
+
 @final
 class Policy(Controller):
     """A trained policy, deterministic: tanh of a multilayer perceptron of the observation.

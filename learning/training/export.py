@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
+from dexctl.hands.identity import identity
 from dexctl.settings import to_plain
 from learning.algorithms.base import Algorithm
 from learning.config import TrainConfig
@@ -29,6 +30,7 @@ def export_policy(
     )
     card = {
         "trained": to_plain(config),
+        "hand": identity(env.hand),
         "steps": algorithm.steps,
         "figures": dict(figures),
         "versions": {

@@ -1,9 +1,9 @@
 """Run folders: what a run is kept in, and the only place that knows the names of its files.
 
-A run folder holds ``config.json``, ``progress.csv`` with TensorBoard's files in ``tensorboard``,
-``checkpoint.bin``, and ``policy.npz`` with its card ``policy.json``. Everything in it is written
-aside and renamed, so a run that is killed at any moment leaves whole files, and at most what it was
-writing beside them.
+A run folder holds ``config.json``, ``hand.json`` (which hand is trained), ``progress.csv`` with
+TensorBoard's files in ``tensorboard``, ``checkpoint.bin``, and ``policy.npz`` with its card
+``policy.json``. Everything in it is written aside and renamed, so a run that is killed at any
+moment leaves whole files, and at most what it was writing beside them.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ from typing import TYPE_CHECKING, Any
 
 from dexctl.exceptions import InvalidInput
 from dexctl.files import write_text
+from dexctl.hands.identity import identity
 from learning.training import checkpoint
 from learning.training.checkpoint import CheckpointError
 from learning.training.log import read_rows
 
 if TYPE_CHECKING:
+    from dexctl.hand import HandModel
     from learning.config import TrainConfig
 
 _LOCK = ".lock"
@@ -43,13 +45,14 @@ class RunFolder:
         path: of the folder, which need not be there yet.
 
     Attributes:
-        config_path, progress_path, tensorboard_path, checkpoint_path, policy_path: where the
-            parts of the run are, or will be.
+        config_path, hand_path, progress_path, tensorboard_path, checkpoint_path, policy_path:
+            where the parts of the run are, or will be.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.config_path = path / "config.json"
+        self.hand_path = path / "hand.json"
         self.progress_path = path / "progress.csv"
         self.tensorboard_path = path / "tensorboard"
         self.checkpoint_path = path / "checkpoint.bin"
@@ -81,6 +84,25 @@ class RunFolder:
             config = to_plain(config)
         self._make()
         write_text(self.config_path, json.dumps(config, indent=2) + "\n")
+
+    def note_hand(self, hand: HandModel) -> None:
+        """Keep which hand is trained; where it is kept already, it has to be the same.
+
+        Raises:
+            InvalidInput: the hand's files are others than when the run began.
+        """
+        if not self.hand_path.exists():
+            write_text(self.hand_path, json.dumps(identity(hand), indent=2) + "\n")
+            return
+        try:
+            before = json.loads(self.hand_path.read_text(encoding="utf-8"))["sha256"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InvalidInput(f"cannot read {self.hand_path}: {error}") from None
+        if before != hand.digest:
+            raise InvalidInput(
+                f"the files of the hand {hand.name} have changed since the run began (sha256 was "
+                f"{before[:12]}, is {hand.digest[:12]}); put them back, or begin anew"
+            )
 
     def config(self) -> TrainConfig:
         """The configuration of the run.

@@ -60,6 +60,7 @@ def train(
     try:
         with folder.lock():
             folder.create(config)
+            folder.note_hand(trainer.env.hand)
             return trainer.run(None)
     finally:
         trainer.close()
@@ -98,6 +99,7 @@ def resume(
         saved = folder.read_checkpoint()
         trainer = Trainer(config, folder, report, remark)
         try:
+            folder.note_hand(trainer.env.hand)
             return trainer.run(saved)
         finally:
             trainer.close()

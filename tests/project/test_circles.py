@@ -18,6 +18,7 @@ ONE_MATTER = [
         "dexctl.hand_config",
         "dexctl.hands.registry",
         "dexctl.hands.proposals",  # for a bare file
+        "dexctl.hands.identity",  # the hand's digest, over its configuration
     },
 ]
 

@@ -56,7 +56,7 @@ def build(found: Inspection, *, command: str, machine: Mapping[str, Any]) -> str
                 more=_task(protocol.task),
             ),
         ]
-    title = f"{_who(found)}: {protocol.scene.hand} turns a {found.rollouts.scene.object}"
+    title = f"{_who(found)}: {protocol.scene.hand_name} turns a {found.rollouts.scene.object}"
     subtitle = (
         f"{len(found.rollouts.evaluation.rotation)} episodes of {protocol.seconds:g} s, "
         f"{protocol.scene.palm}, seeds {protocol.seed} to {protocol.seed + protocol.episodes - 1}"

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +19,7 @@ import pytest
 
 import dexctl
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.hands.identity import identity
 from dexctl.settings import from_plain
 from learning import policies
 from learning.envs import EnvConfig, ManipulationVectorEnv, make_vector
@@ -344,3 +346,32 @@ def test_a_failed_write_leaves_the_earlier_file(
         policies.save(path, layers, spec, {"seed": 2})
     assert policies.load(path).card["seed"] == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["p.json", "p.npz"]
+
+
+def test_another_hand_than_in_training_is_told(
+    envs: ManipulationVectorEnv, spec: PolicySpec, layers: list[Layer], tmp_path: Path
+) -> None:
+    copy = tmp_path / "mine.xml"
+    copy.write_text(envs.hand.path.read_text().replace("0.014", "0.015"))
+    mine = replace(envs.hand.config, description=copy, name="mine").build()
+    card = {"hand": identity(envs.hand)}
+    assert policies.other_hand(Policy(envs.hand, layers, spec, card)) is None
+    assert policies.other_hand(Policy(mine, layers, spec, {})) is None  # nobody knows
+    said = policies.other_hand(Policy(mine, layers, spec, card))
+    assert said is not None
+    assert envs.hand.digest[:12] in said and mine.digest[:12] in said and "mine" in said
+
+
+def test_a_policy_of_a_hand_from_a_file(
+    envs: ManipulationVectorEnv, spec: PolicySpec, layers: list[Layer], tmp_path: Path
+) -> None:
+    hand_file = tmp_path / ("long" * 50) / "mine.toml"
+    hand_file.parent.mkdir()
+    envs.hand.config.write(hand_file)
+    path = tmp_path / "p.npz"
+    policies.save(path, layers, spec._replace(hand=str(hand_file)), {"steps": 1})
+    assert policies.load(path).hand.config.source == hand_file
+    hand_file.unlink()
+    with pytest.raises(InvalidInput, match=r"p\.npz.*mine\.toml: no such file"):
+        policies.load(path)
+    assert policies.load(path, hand=envs.hand).hand is envs.hand

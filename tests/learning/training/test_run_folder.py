@@ -9,10 +9,12 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+import dexctl
 from dexctl.exceptions import InvalidInput
 from learning.training.checkpoint import CheckpointError
 from learning.training.log import RunLog
@@ -162,3 +164,17 @@ def test_a_resumed_log_forgets_what_came_after_the_checkpoint(run: RunFolder) ->
     with run.progress_path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["step"], row["return"]) for row in rows] == [("10", "3.33333"), ("20", "6.66667")]
+
+
+def test_the_hand_of_a_run_may_not_change(run: RunFolder, tmp_path: Path) -> None:
+    known = dexctl.hands.load("dex5")
+    path = tmp_path / "mine.xml"
+    path.write_text(known.path.read_text())
+    run.note_hand(replace(known.config, description=path).build())
+    run.note_hand(replace(known.config, description=path, name="renamed").build())
+    path.write_text(known.path.read_text().replace("0.014", "0.015"))
+    with pytest.raises(InvalidInput, match="files of the hand mine have changed since the run"):
+        run.note_hand(replace(known.config, description=path, name="mine").build())
+    run.hand_path.write_text("{")
+    with pytest.raises(InvalidInput, match=r"cannot read .*hand\.json"):
+        run.note_hand(known)

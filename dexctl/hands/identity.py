@@ -1,0 +1,38 @@
+"""Which hand it is: a digest over everything that a hand is built from."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dexctl.description.files import files_of
+from dexctl.hand_config import HandConfig
+from dexctl.hand_toml import to_toml
+
+if TYPE_CHECKING:
+    from dexctl.hand import HandModel
+
+
+def digest(config: HandConfig, description: Path) -> str:
+    """SHA-256 over the settings, the description file, what it includes, and its meshes.
+
+    Names, places of files and comments do not count.
+    """
+    settings = replace(config, description=Path("description"), name="hand", about="")
+    found = hashlib.sha256(to_toml(settings, {}).encode())
+    for file in files_of(description):
+        found.update(hashlib.sha256(file.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def identity(hand: HandModel) -> dict[str, str]:
+    """What a card or a run folder says of the hand: name, files and digest."""
+    source = hand.config.source
+    return {
+        "name": hand.name,
+        **({} if source is None else {"toml": str(source)}),
+        "description": str(hand.path),
+        "sha256": hand.digest,
+    }
