@@ -22,8 +22,9 @@ Bools = NDArray[np.bool_]
 class GraspState:
     """Joints, touch and (where known) the object, at one moment, of one hand or of a batch.
 
-    Arrays carry leading batch dimensions ``(...)``: ``()`` for one hand, ``(N,)`` for N. World
-    frame, SI units. The thesis's observation (chapter 4) is [q, q', p, n, c].
+    Arrays carry leading batch dimensions ``(...)``: ``()`` for one hand, ``(N,)`` for N. SI units;
+    the frame is the hand's, which is the world's unless the hand moves (see `in_frame`). The
+    thesis's observation (chapter 4) is [q, q', p, n, c].
 
     Attributes:
         q: joint positions, ``(..., d)`` [rad].
@@ -236,6 +237,48 @@ class GraspState:
     def arrays(self) -> dict[str, Any]:
         """Its fields by name; ``GraspState(**it)`` is the same state."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    def in_frame(self, position: ArrayLike, quaternion: ArrayLike) -> GraspState:
+        """The same state as seen from another frame, such as that of a hand on a moving arm.
+
+        Controllers know the hand where `HandModel` has it, so contacts and object must be in the
+        hand's frame, and so are gravity and the twists that they are given. A vector of the world
+        is ``rotate(inverse(quaternion), vector)`` there (`dexctl.rotations`).
+
+        Args:
+            position: of the frame, in the one that the state is in now, ``(..., 3)`` or ``(3,)``
+                [m].
+            quaternion: its orientation there, wxyz, unit, ``(..., 4)`` or ``(4,)``.
+
+        Raises:
+            InvalidInput: a shape that does not belong to the state, a length that is not one.
+        """
+        from dexctl.rotations import inverse, multiply, rotate
+
+        place, turn = _floats("position", position), _floats("quaternion", quaternion)
+        for name, value, width in (("position", place, 3), ("quaternion", turn, 4)):
+            if value.shape not in ((width,), (*self.batch_shape, width)):
+                expected = " or ".join({str((width,)), str((*self.batch_shape, width))})
+                raise InvalidInput(f"{name} has shape {value.shape}; expected {expected}")
+            if not np.isfinite(value).all():
+                raise InvalidInput(f"{name} is {value.tolist()}; expected finite numbers")
+        length = np.linalg.norm(turn, axis=-1)
+        if not np.allclose(length, 1.0, rtol=0, atol=1e-6):
+            raise InvalidInput(f"quaternion has the length {length}; expected 1")
+        back = inverse(turn)
+        each = back[..., None, :]  # for every finger
+        points = rotate(each, self.contact_position - place[..., None, :])
+        values: dict[str, Any] = {
+            "contact_position": np.where(self.in_contact[..., None], points, 0.0),
+            "contact_normal": rotate(each, self.contact_normal),
+        }
+        if self.object_position is not None:
+            values["object_position"] = rotate(back, self.object_position - place)
+        if self.object_quaternion is not None:
+            values["object_quaternion"] = multiply(back, self.object_quaternion)
+        if self.gravity is not None:
+            values["gravity"] = rotate(back, self.gravity)
+        return replace(self, **values)
 
     def without(self, fingers: Bools) -> GraspState:
         """The same state with ``fingers`` ``(..., m)`` counted as out of contact."""

@@ -137,6 +137,7 @@ def _strip(spec: mujoco.MjSpec, hand: HandModel, notes: list[str]) -> None:
         inside = [body, *body.find_all("body")]
         joints = [joint for one in inside for joint in one.joints]
         if any(joint.name in used for joint in joints) or _holds(inside, hand.fingertip_bodies):
+            body.mocap = False  # nothing moves it here; `Scene.build(moving_base=True)` does
             continue
         free = (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL)
         if body.mocap or any(joint.type in free for joint in joints):

@@ -7,12 +7,20 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from dexctl.sim.moving_base import BaseMotion
 from dexctl.sim.scene import Scene
 from dexctl.state import Bools, Floats
 
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
-# What a physics step is given: control values, then force and torque on every body.
-INPUT = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+_GIVEN = mujoco.mjtState
+# What a physics step is given: control values, force and torque on every body, then where the
+# body is that carries a moving base.
+INPUT = (
+    _GIVEN.mjSTATE_CTRL.value
+    | _GIVEN.mjSTATE_XFRC_APPLIED.value
+    | _GIVEN.mjSTATE_MOCAP_POS.value
+    | _GIVEN.mjSTATE_MOCAP_QUAT.value
+)
 # Faster than anything in a hand; what falls is faster by what gravity adds in its time.
 _FASTEST = 1000.0  # [m/s], [rad/s]
 
@@ -31,6 +39,7 @@ class PhysicsLayout:
         object_velocity: the object's, linear and angular.
         inputs: number of columns of ``INPUT``.
         push: the force on the object among them.
+        base: where the base is, in a scene whose base moves, else None.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -48,6 +57,8 @@ class PhysicsLayout:
         self.inputs = mujoco.mj_stateSize(model, INPUT)
         push = model.nu + 6 * model.body(scene.object_body).id
         self.push = slice(push, push + 3)
+        moving = BaseMotion(model, self.qpos.start, self.inputs - 7) if scene.moving_base else None
+        self.base: BaseMotion | None = moving
 
     def state(self, qpos: Floats, qvel: Floats | None = None) -> Floats:
         """Full physics states ``(..., size)`` at time 0, at rest without ``qvel``."""

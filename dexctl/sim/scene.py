@@ -16,6 +16,7 @@ from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.hand import HandModel
 from dexctl.sim import checks
 from dexctl.sim.hand_spec import hand_spec, lean_model
+from dexctl.sim.moving_base import add_moving_base
 from dexctl.sim.objects import MESH, add_object
 from dexctl.sim.tactile import add_sensors
 from dexctl.state import Floats
@@ -42,6 +43,7 @@ class Scene:
         grip: normal force that each finger of the settled grasp aims at [N].
         object_body: name of the object's body and joint in `model`: "object", unless the hand's
             file has one of that name.
+        moving_base: whether the hand can be moved, with `BatchSimulator.move_base`.
         notes: what the hand's file lacks for a simulation, and what was done about it; which grasp
             was chosen where nobody says one.
         model: the MuJoCo model that is stepped: no visual geoms, contact sensors added.
@@ -70,6 +72,7 @@ class Scene:
         grip: float,
         grasp_q: Floats | None = None,
         object_body: str = "object",
+        moving_base: bool = False,
         notes: tuple[str, ...] = (),
     ) -> None:
         self.hand = hand
@@ -82,6 +85,7 @@ class Scene:
         self.grasp_q = grasp_q
         self.grip = grip
         self.object_body = object_body
+        self.moving_base = moving_base
         self.notes = notes
         self._spec = spec
         self.model = lean_model(spec, hand)
@@ -104,6 +108,7 @@ class Scene:
         open_q: ArrayLike | Mapping[str, float] | None = None,
         grasp_q: ArrayLike | Mapping[str, float] | None = None,
         grip: float = 2.0,
+        moving_base: bool = False,
     ) -> Scene:
         """Put a hand and an object into one scene.
 
@@ -127,11 +132,13 @@ class Scene:
             grasp_q: joints with the fingertips about to touch the object, in the same forms.
                 Default: as the hand's toml says, else found when the grasp settles.
             grip: normal force that each finger of the settled grasp aims at [N].
+            moving_base: let the hand be moved, as on an arm; it begins where it stands otherwise.
 
         Raises:
             UnknownName: no such hand, object or gravity name.
             InvalidInput: a number out of range.
-            SimulationError: MuJoCo cannot compile the scene, or a joint has no position servo.
+            SimulationError: MuJoCo cannot compile the scene, or the hand cannot be simulated, or
+                not be moved.
         """
         model = hands.load(hand) if isinstance(hand, str) else hand
         name, file = _object(object, mesh, object_mesh)
@@ -158,6 +165,8 @@ class Scene:
         if grasp_q is not None or postures.grasp:
             closed = _posture("grasp_q", model, {**postures.open, **postures.grasp}, grasp_q)
         spec, changed = hand_spec(model)
+        if moving_base:
+            add_moving_base(spec, model)
         spec.option.gravity = checks.gravity_vector(gravity)
         others = _touchable_bodies(spec, model)
         own_name = _free_name(spec)
@@ -186,6 +195,7 @@ class Scene:
             grasp_q=closed,
             grip=checks.positive("grip", grip),
             object_body=own_name,
+            moving_base=moving_base,
             notes=(*changed, *notes),
         )
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.rotations import inverse, multiply, rotate, rotation_vector
 from dexctl.sim import checks
+from dexctl.sim.moving_base import REST, BaseMotion
 from dexctl.sim.parameters import ParameterSet
 from dexctl.sim.physics_state import INPUT, PhysicsLayout, SimulatorState
 from dexctl.sim.scene import Scene
@@ -55,7 +56,7 @@ class BatchSimulator:
         num_envs: N, or None.
         diverged: ``(N,)`` bool, latched until reset.
         other_contact: force between the object and everything but fingertips, ``(N,)`` [N].
-        object_angular_velocity: ``(N, 3)`` [rad/s], world frame, from the difference of poses over
+        object_angular_velocity: ``(N, 3)`` [rad/s], hand's frame, from the difference of poses over
             the last control period (the simulation's own velocity carries its vibrations).
         start_position: the object's centre after the last reset, ``(N, 3)`` [m].
 
@@ -130,6 +131,9 @@ class BatchSimulator:
         self._settled_physics = self._layout.state(settled.qpos, settled.qvel)
         self._settled_ctrl = np.zeros(self._layout.inputs)
         self._settled_ctrl[self.scene.actuators] = settled.q_target * self.scene.ctrl_per_radian
+        if self._layout.base is not None:
+            self._settled_ctrl[self._layout.base.input] = REST
+            self._base = np.tile(REST, (count, 1))  # where the last step ended
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Back to the settled grasp, with set-points disturbed.
@@ -269,17 +273,29 @@ class BatchSimulator:
     def _place(self, chosen: Bools, physics: Floats, q_target: Floats, touch: Floats) -> None:
         self._physics[chosen] = physics
         self._q_target[chosen] = self._clip(q_target)
+        if self._layout.base is not None:
+            self._base[chosen] = self._ctrl[chosen, self._layout.base.input] = (
+                self._layout.base.pose(self._physics[chosen])
+            )
         self._ctrl[:, self.scene.actuators] = self._q_target * self.scene.ctrl_per_radian
         self._ctrl[chosen, self._layout.push] = 0.0
         self._steps[chosen] = 0
         self._diverged[chosen] = False
         self._angular_velocity[chosen] = 0.0
-        self._start_position[chosen] = self._object_position()[chosen]
+        self._start_position[chosen] = self._object_pose()[chosen, :3]
         self._touch = self._touch.placed(chosen, self._sensors.read(touch, self.touch_threshold))
 
-    def read(self) -> GraspState:
-        """The state now: joints, set-points, touch and the object's pose (all copies)."""
+    def read(self, *, in_world: bool = False) -> GraspState:
+        """The state now: joints, set-points, touch and the object's pose (all copies).
+
+        Args:
+            in_world: of a moving hand, as seen from the world; controllers want it as it is
+                without, in the hand's frame.
+        """
         touch, batch = self._touch, self.batch_shape
+        if self._layout.base is not None and not in_world:
+            world = self.read(in_world=True)
+            return world.in_frame(*self.base_pose)
         state = GraspState(
             q=self._physics[:, self._layout.q],
             q_target=self._q_target.copy(),
@@ -296,7 +312,7 @@ class BatchSimulator:
         return state if batch else state[0]
 
     def _object_position(self) -> Floats:
-        """Centres of the objects' shapes, ``(N, 3)`` [m]."""
+        """Centres of the objects' shapes in the world, ``(N, 3)`` [m]."""
         return self._physics[:, self._layout.position] - self._centre_of_mass(self._physics)
 
     def write(self, q_target: ArrayLike) -> Floats:
@@ -313,6 +329,47 @@ class BatchSimulator:
         """Pull at the object's centre with ``force`` ``(..., 3)`` [N] until the next or a reset."""
         self._ctrl[:, self._layout.push] = self._rows("force", force, 3)
 
+    def move_base(self, position: ArrayLike, quaternion: ArrayLike) -> None:
+        """Carry the hand to where its frame is to be at the end of the next step.
+
+        From there it stays. On the way it moves evenly; it lags behind by the few milliseconds
+        of a stiff arm, `base_pose` says where it is.
+
+        Args:
+            position: of the hand's frame in the world ``(..., 3)`` [m].
+            quaternion: its orientation, wxyz, unit, ``(..., 4)``.
+
+        Raises:
+            SimulationError: the scene was built without ``moving_base=True``.
+        """
+        pose = [self._rows("position", position, 3), self._rows("quaternion", quaternion, 4)]
+        pose[1] = checks.unit("quaternion", pose[1])
+        self._ctrl[:, self._moving().input] = np.hstack(pose)
+
+    @property
+    def base_pose(self) -> tuple[Floats, Floats]:
+        """The hand's frame in the world now: position ``(..., 3)``, quaternion ``(..., 4)``.
+
+        Raises:
+            SimulationError: the scene was built without ``moving_base=True``.
+        """
+        pose = self._moving().pose(self._physics)
+        return self._out(pose[:, :3].copy()), self._out(pose[:, 3:].copy())
+
+    def _moving(self) -> BaseMotion:
+        if self._layout.base is None:
+            raise SimulationError("the hand's base is fixed; Scene.build(..., moving_base=True)")
+        return self._layout.base
+
+    def _object_pose(self) -> Floats:
+        """The object in the hand's frame, ``(N, 7)``."""
+        place, turn = self._object_position(), self._physics[:, self._layout.quaternion]
+        if self._layout.base is not None:
+            base = self._layout.base.pose(self._physics)
+            back = inverse(base[:, 3:])
+            place, turn = rotate(back, place - base[:, :3]), multiply(back, turn)
+        return np.concatenate([place, turn], axis=1)
+
     def step(self, mask: ArrayLike | None = None) -> None:
         """Let one control period pass in every environment, or in those of ``mask`` ``(N,)``."""
         chosen = self._mask(mask)
@@ -326,6 +383,13 @@ class BatchSimulator:
         ctrl, after_steps = self._ctrl_steps[:count], self._next[:count]
         sensordata = self._sensordata[:count]
         ctrl[:] = self._ctrl[where, None]
+        if self._layout.base is not None:
+            carried = self._layout.base.input
+            ctrl[..., carried] = BaseMotion.between(
+                self._base[where], self._ctrl[where, carried], self.substeps
+            )
+            self._base[where] = self._ctrl[where, carried]
+        seen = self._object_pose()[where, 3:]
         before, start = self._physics[where], self._physics[where]
         lost = self._diverged[where]
         if lost.any():  # step something harmless in their place
@@ -349,12 +413,10 @@ class BatchSimulator:
         if bad.any():
             after[bad] = before[bad]
             sensordata[bad] = 0.0
-        turn = multiply(
-            after[:, self._layout.quaternion], inverse(before[:, self._layout.quaternion])
-        )
         touch = self._sensors.read(sensordata[:, -1, self._sensors.columns], self.touch_threshold)
-        self._angular_velocity[where] = rotation_vector(turn) / self.control_period
         self._physics[where] = after
+        turn = multiply(self._object_pose()[where, 3:], inverse(seen))
+        self._angular_velocity[where] = rotation_vector(turn) / self.control_period
         self._diverged[where] |= bad
         self._steps[where] += ~bad
         self._touch = self._touch.placed(chosen, touch) if some else touch
@@ -398,7 +460,7 @@ class BatchSimulator:
         starts without one: that is what makes replays bitwise.
         """
         return {
-            **{name: getattr(self, f"_{name}").copy() for name in _SAVED},
+            **{name: getattr(self, f"_{name}").copy() for name in self._saved},
             "touch": {name: value.copy() for name, value in self._touch._asdict().items()},
             "streams": self._streams.save()._asdict(),
             "parameters": self._parameters.values,
@@ -415,11 +477,15 @@ class BatchSimulator:
                 f"the saved state has shape {saved['physics'].shape}; this simulator has "
                 f"{self._physics.shape}"
             )
-        for name in _SAVED:
+        for name in self._saved:
             setattr(self, f"_{name}", saved[name].copy())
         self._touch = TouchReading(**{k: v.copy() for k, v in saved["touch"].items()})
         self._streams.restore(StreamsState(**saved["streams"]))
         self._parameters.restore(saved["parameters"])
+
+    @property
+    def _saved(self) -> tuple[str, ...]:
+        return _SAVED if self._layout.base is None else (*_SAVED, "base")
 
     @property
     def time(self) -> Floats:

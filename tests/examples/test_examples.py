@@ -15,6 +15,7 @@ EXAMPLES = sorted(path.name for path in (ROOT / "examples").glob("*.py"))
 RUNS: dict[str, tuple[list[str], str]] = {
     "hold_and_turn.py": (["0.5"], "fingers touch"),
     "batch_gait.py": (["3", "0.5"], "still holding"),
+    "moving_hand.py": (["1.0"], "gravity in the hand's frame"),
     "own_hand.py": (["{menagerie}", "0.5"], "turned a sphere"),
     "plan_forces.py": ([], "force closure: True"),
     "own_plant.py": ([], "sent 0.05 rad"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from dexctl import GraspState, InvalidInput
 from dexctl.controller import check_state
 from dexctl.hand import HandModel
+from dexctl.rotations import inverse, rotate
 
 
 def fields(batch: tuple[int, ...] = (), d: int = 15, m: int = 5) -> dict[str, Any]:
@@ -107,3 +109,46 @@ def test_a_state_of_another_hand_is_an_error(dex5: HandModel) -> None:
     check_state(dex5, GraspState(**fields()))
     with pytest.raises(InvalidInput, match="16 joints and 4 fingers.*15 joints and 5 fingers"):
         check_state(dex5, GraspState(**fields(d=16, m=4)))
+
+
+def test_in_the_frame_of_a_hand_that_is_carried() -> None:
+    """A frame at (1, 2, 3), turned by 90 degrees about z: its x is the world's y."""
+    half = np.sqrt(0.5)
+    state = GraspState(**fields((4,)))
+    touched = replace(state, in_contact=np.ones((4, 5), bool))
+    seen = touched.in_frame((1.0, 2.0, 3.0), (half, 0.0, 0.0, half))
+    away = touched.contact_position - (1.0, 2.0, 3.0)
+    turned = np.stack([away[..., 1], -away[..., 0], away[..., 2]], axis=-1)
+    np.testing.assert_allclose(seen.contact_position, turned, atol=1e-12)
+    normal = touched.contact_normal
+    turned = np.stack([normal[..., 1], -normal[..., 0], normal[..., 2]], axis=-1)
+    np.testing.assert_allclose(seen.contact_normal, turned, atol=1e-12)
+    for name in ("q", "q_target", "contact_force", "in_contact"):
+        np.testing.assert_array_equal(getattr(seen, name), getattr(touched, name))
+    # each environment its own frame, and back by the inverse pose
+    rng = np.random.default_rng(0)
+    turn = rng.standard_normal((4, 4))
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    place = rng.standard_normal((4, 3))
+    there = touched.in_frame(place, turn)
+    home = there.in_frame(-rotate(inverse(turn), place), inverse(turn))
+    for name in ("contact_position", "contact_normal", "object_position", "object_quaternion"):
+        np.testing.assert_allclose(getattr(home, name), getattr(touched, name), atol=1e-12)
+    none = replace(state, in_contact=np.zeros((4, 5), bool), object_position=None)
+    seen = none.in_frame(place, turn)
+    assert not seen.contact_position.any() and seen.object_position is None
+
+
+@pytest.mark.parametrize(
+    ("position", "quaternion", "message"),
+    [
+        ((0.0, 0.0), (1.0, 0.0, 0.0, 0.0), "position has shape"),
+        ((0.0, 0.0, np.nan), (1.0, 0.0, 0.0, 0.0), "position is"),
+        ((0.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0), "quaternion has the length 1.41"),
+        ((0.0, 0.0, 0.0), np.ones((2, 4)) / 2, "quaternion has shape"),
+        ("here", (1.0, 0.0, 0.0, 0.0), "position is 'here'"),
+    ],
+)
+def test_a_frame_that_is_none(position: Any, quaternion: Any, message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        GraspState(**fields()).in_frame(position, quaternion)
