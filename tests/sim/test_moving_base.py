@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import dexctl
 from dexctl import HandModel
 from dexctl.exceptions import InvalidInput, SimulationError
+from dexctl.hand_config import PalmConfig
 from dexctl.sim import BatchSimulator, Scene
 from dexctl.sim.moving_base import BaseMotion
 
@@ -99,7 +100,7 @@ def test_a_base_at_rest_is_a_fixed_base(scene: Scene) -> None:
     np.testing.assert_allclose(moving.base_pose[0], 0.0, atol=1e-4)
     np.testing.assert_allclose(moving.read().q, fixed.read().q, atol=5e-3)
     np.testing.assert_allclose(
-        moving.read().object_position, fixed.read().object_position, atol=2e-3
+        moving.read().object_centre(), fixed.read().object_centre(), atol=2e-3
     )
 
 
@@ -144,7 +145,7 @@ def test_a_turned_hand_that_its_file_carries_begins_at_rest(
     palm = '<body name="palm" childclass="dex5"'
     hand = changed_dex5(
         (palm, palm + ' mocap="true" pos="0.1 0.2 0" euler="0.3 0 0"'),
-        palm=dexctl.hand_config.PalmConfig(axis=(0.0, 1.0, 0.0), up=(1.0, 0.0, 0.0)),
+        palm=PalmConfig(axis=(0.0, 1.0, 0.0), up=(1.0, 0.0, 0.0)),
     )
     scene = Scene.build(hand, moving_base=True, grasp_centre=(0.1, 0.0, 0.3))
     model = scene.model
