@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dexctl.state import Floats
+Floats = NDArray[np.float64]
 
 
 def rotate(quaternion: Floats, vector: Floats) -> Floats:

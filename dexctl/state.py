@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
+from dexctl.rotations import Floats as Floats  # for those who take it from here
+from dexctl.rotations import inverse, multiply, rotate
 
 if TYPE_CHECKING:
     from dexctl.touch import Hand, TouchConfig
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
@@ -253,8 +254,6 @@ class GraspState:
         Raises:
             InvalidInput: a shape that does not belong to the state, a length that is not one.
         """
-        from dexctl.rotations import inverse, multiply, rotate
-
         place, turn = _floats("position", position), _floats("quaternion", quaternion)
         for name, value, width in (("position", place, 3), ("quaternion", turn, 4)):
             if value.shape not in ((width,), (*self.batch_shape, width)):

@@ -127,6 +127,7 @@ def test_in_the_frame_of_a_hand_that_is_carried() -> None:
         np.testing.assert_array_equal(getattr(seen, name), getattr(touched, name))
     weighed = replace(touched, gravity=np.tile([0.0, 5.0, -9.0], (4, 1)))
     down = weighed.in_frame((1.0, 2.0, 3.0), (half, 0.0, 0.0, half)).gravity
+    assert down is not None
     np.testing.assert_allclose(down, np.tile([5.0, 0.0, -9.0], (4, 1)), atol=1e-12)
     # each environment its own frame, and back by the inverse pose
     rng = np.random.default_rng(0)
