@@ -40,6 +40,10 @@ class Evaluate:
     ] = None
     """A policy by name, a policy file (.npz), a run folder, or the name of a controller."""
     protocol: Annotated[Protocol, NESTED] = field(default_factory=Protocol)
+    conditions: tuple[str, ...] = ()
+    """Named ranges and limits in place of the protocol's: nominal, limits (of a real hand),
+    everything (that is uncertain of one), any-gravity; several add up. Or a .toml of settings.
+    What is typed beside them counts."""
     transfer: tuple[str, ...] = ()
     """Policies instead of one, of an object each (cube=POLICY if no card says); gives R_ij/R_ii.
     --object has further ones."""
@@ -61,9 +65,12 @@ class Evaluate:
         names = {word[2:].partition("=")[0].replace("-", "_") for word in argv if word[:2] == "--"}
         if before is None or bool(before.transfer) == (before.policy is not None):
             return cls()
+        from dexctl.sim.conditions import under
+
         hand = before.protocol.scene.hand if "hand" in names else None
         subjects = [one.subject for one in before._trained(hand)]
-        return cls(protocol=as_trained(subjects, names))
+        protocol = as_trained(subjects, names)
+        return cls(protocol=replace(protocol, scene=under(protocol.scene, *before.conditions)))
 
     def run(self) -> int:
         from learning.cli.evaluate_output import (
@@ -88,7 +95,8 @@ class Evaluate:
         replace(protocol.scene, object=(*own, *protocol.scene.object)).check_objects()
         folder = None if self.out is None else make_folder(self.out)
         found, matrix = self._evaluate(trained, folder)
-        result = {"command": "evaluate"} | described(trained, protocol, found, matrix)
+        result = {"command": "evaluate", "conditions": list(self.conditions)}
+        result |= described(trained, protocol, found, matrix)
         if folder is not None:
             write(folder, result, found, matrix)
         if self.json:

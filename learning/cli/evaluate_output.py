@@ -13,6 +13,7 @@ from dexctl.cli.output import facts, notes, results, table, to_json
 from dexctl.exceptions import MissingExtra
 from dexctl.files import write_text
 from dexctl.hands.identity import identity
+from dexctl.report.conditions import not_as_usual
 from dexctl.report.machine import machine
 from dexctl.report.words import about, interval
 from dexctl.settings import to_plain
@@ -148,9 +149,9 @@ def _disturbances(rows: Sequence[Evaluation]) -> Table:
 
 
 def _setting(protocol: Protocol) -> str:
-    late = protocol.scene.sensing.sensor_latency
-    said = f"{protocol.scene.palm}, {about(protocol.task.axis)}"
-    return said + (f", sensors {late:g} s late" if late else "")
+    said = [protocol.scene.palm, about(protocol.task.axis)]
+    said += [f"{what} {value}" for what, value in not_as_usual(protocol.scene)]
+    return ", ".join(said)
 
 
 def _episodes(protocol: Protocol) -> str:

@@ -107,6 +107,20 @@ def test_what_is_not_said_is_as_in_training(
     assert found["results"][0]["disturbance"]["push_force"] == 0.5
 
 
+def test_conditions_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("hold", "--episodes", "2", "--seconds", "0.1", "--conditions", "everything", "limits")
+    assert run(*words, "--torque-limit", "0.7", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["conditions"] == ["everything", "limits"]
+    scene = found["protocol"]["scene"]
+    assert scene["randomisation"]["mass_range"] == [0.05, 0.25]
+    assert scene["limits"] == {"speed_limit": 0.6, "torque_limit": 0.7, "action_latency": 0.05}
+    assert run(*words) == 0
+    assert "friction range 0.6, 1.4" in capsys.readouterr().out
+    with pytest.raises(UnknownName, match="unknown conditions 'moon'"):
+        run("hold", "--conditions", "moon")
+
+
 def test_the_transfer_matrix(
     policy_of: MakePolicy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

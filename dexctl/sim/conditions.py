@@ -1,0 +1,65 @@
+"""Conditions by name: sets of ranges and limits under which hands are tested."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE
+from dexctl.settings import changed
+from dexctl.sim.scene_config import SceneConfig
+
+CONDITIONS: Mapping[str, Mapping[str, Any]] = {
+    "nominal": {},
+    "limits": {
+        "speed_limit": REAL_SPEED,
+        "torque_limit": REAL_TORQUE,
+        "action_latency": REAL_LATENCY,
+    },
+    "everything": {
+        "friction_range": (0.6, 1.4),
+        "mass_range": (0.05, 0.25),
+        "stiffness_range": (0.7, 1.3),
+        "damping_range": (0.7, 1.3),
+        "joint_offset": 0.05 / 3**0.5,  # as wide as uniform noise of 0.05 rad each way
+        "position_noise": 0.002,
+        "normal_noise": 0.1,
+        "force_noise": 0.5,
+        "action_latency": REAL_LATENCY,
+    },
+    "any-gravity": {"gravity_tilt": 3.141592653589793},
+}
+"""Settings of `SceneConfig` by name. "limits" are those of the hand in the thesis; "everything" is
+what a real hand may be off by, drawn for each episode."""
+
+
+def under(config: SceneConfig, *conditions: str) -> SceneConfig:
+    """``config`` under conditions, one after the other.
+
+    Args:
+        conditions: names of `CONDITIONS`, or toml files of settings of `SceneConfig`.
+
+    Raises:
+        UnknownName: no such conditions, and no such file; or a file has no such setting.
+        InvalidInput: the file is no toml, or a value is out of range.
+    """
+    for name in conditions:
+        config = changed(config, _settings(name), "" if name in CONDITIONS else name)
+    return config
+
+
+def _settings(name: str) -> Mapping[str, Any]:
+    if name in CONDITIONS:
+        return CONDITIONS[name]
+    path = Path(name).expanduser()
+    if path.suffix != ".toml":
+        raise UnknownName("conditions", name, [*CONDITIONS, "a .toml file"])
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InvalidInput(f"cannot read {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{path} is not TOML: {error}") from None

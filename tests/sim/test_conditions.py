@@ -1,0 +1,60 @@
+"""Conditions by name, and from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.sim import SceneConfig
+from dexctl.sim.conditions import CONDITIONS, under
+
+
+def test_conditions_add_up() -> None:
+    config = under(SceneConfig(object=("cube",)), "everything", "limits", "any-gravity")
+    assert config.object == ("cube",)
+    assert config.limits.speed_limit == 0.6
+    assert config.limits.torque_limit == 0.5
+    assert config.limits.action_latency == 0.05
+    assert config.randomisation.mass_range == (0.05, 0.25)
+    assert config.randomisation.gravity_tilt == pytest.approx(3.14159, abs=1e-4)
+    assert config.sensing.force_noise == 0.5
+
+
+@pytest.mark.parametrize("name", list(CONDITIONS))
+def test_each_is_a_scene(name: str) -> None:
+    assert (under(SceneConfig(), name) == SceneConfig()) == (name == "nominal")
+
+
+def test_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        "object_mass = 0.2\nfriction_range = [0.5, 0.6]\n[sensing]\njoint_noise = 0.1\n"
+    )
+    config = under(SceneConfig(), str(path))
+    assert config.object_mass == 0.2
+    assert config.randomisation.friction_range == (0.5, 0.6)
+    assert config.sensing.joint_noise == 0.1
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("mass = 1", "unknown setting of .*mine.toml 'mass'; known: hand"),
+        ("object_mass = 'x'", "object_mass is 'x'; expected a number"),
+        ("object_mass", "is not TOML"),
+        (None, "cannot read .*: No such file"),
+    ],
+)
+def test_bad_files(tmp_path: Path, content: str | None, said: str) -> None:
+    path = tmp_path / "mine.toml"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises((InvalidInput, UnknownName), match=said):
+        under(SceneConfig(), str(path))
+
+
+def test_unknown_conditions() -> None:
+    with pytest.raises(UnknownName, match="unknown conditions 'moon'; known: nominal, limits"):
+        under(SceneConfig(), "moon")
