@@ -72,6 +72,51 @@ def check_mask(mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return array
 
 
+def shown(value: object) -> str:
+    """``value`` on one line of a message, shortened."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:76]} ..."
+
+
+def number(
+    name: str, value: object, low: float, high: float, wanted: str, *, above: bool = False
+) -> float:
+    """``value`` as a float from ``low`` (or ``above`` it) to ``high``.
+
+    Raises:
+        InvalidInput: it is none; the message says what is ``wanted``.
+    """
+    kind = isinstance(value, (int, float, np.number)) or (
+        isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind in "iuf"
+    )
+    try:
+        found = float(value) if kind and not isinstance(value, (bool, np.complexfloating)) else None  # type: ignore[arg-type]
+    except OverflowError:  # an integer too large
+        found = None
+    if found is None or not low <= found <= high or (above and found == low):
+        raise InvalidInput(f"{name} is {shown(value)}; expected {wanted}")
+    return found
+
+
+def numbers(name: str, value: ArrayLike, expected: str) -> NDArray[np.float64]:
+    """``value`` as an array of floats, finite or not.
+
+    Raises:
+        InvalidInput: it holds what is no real number; the message says what is ``expected``.
+    """
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind in "biuf":
+            return array.astype(float)
+        if array.dtype.kind == "O" and not any(isinstance(x, (str, bytes)) for x in array.flat):
+            return array.astype(float)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InvalidInput(f"{name} is not an array of numbers: {shown(value)}; expected {expected}")
+
+
 def check_twist(twist: object) -> None:
     """Raise InvalidInput where ``twist`` is not six finite numbers."""
     try:

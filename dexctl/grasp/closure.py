@@ -69,7 +69,7 @@ def is_force_closure(
     answer, decided = _by_projections(cones)
     if not decided.all():
         wrenches = primitive_wrenches(cones)
-        wrenches = wrenches.reshape(-1, *wrenches.shape[-2:])
+        wrenches = wrenches.reshape(answer.size, *wrenches.shape[-2:])
         for i in np.flatnonzero(~decided):
             answer[i] = _by_primitives(wrenches[i])
     return answer.reshape(shape) if shape else answer[0]

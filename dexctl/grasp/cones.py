@@ -14,13 +14,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.grasp.contacts import Contacts, check_contacts, tangent_basis
+from dexctl.exceptions import InvalidInput
+from dexctl.grasp.contacts import Contacts, check_contacts, check_model, tangent_basis
 from dexctl.grasp.stability import characteristic_length
 from dexctl.state import Floats
+from dexctl.validation import number, numbers, shown
 
 MODELS = ("hard", "soft")
 MIN_EDGES = 3
+MAX_EDGES = 64
+MAX_FRICTION = 1e3
+TORSION = (1e-6, 1e3)
+"""Least and greatest torsion [m]."""
+_FRICTIONLESS = 1e-9
 DEFAULT_EDGES = 16
 """Edges of the inscribed pyramid; its least friction is cos(pi / 16) = 0.981 of the cone's."""
 DEFAULT_TORSION = 0.005
@@ -96,20 +102,24 @@ def check_cones(
         InvalidInput: naming the argument, its value and what was expected.
         UnknownName: no such contact model.
     """
-    if model not in MODELS:
-        raise UnknownName("contact model", model, MODELS)
-    if not (isinstance(edges, (int, np.integer)) and edges >= MIN_EDGES):
-        raise InvalidInput(f"edges is {edges}; expected a whole number, at least {MIN_EDGES}")
-    if model == "soft" and not (np.isfinite(torsion) and torsion > 0):
-        raise InvalidInput(f"torsion is {torsion}; expected metres above 0")
+    check_model(model, MODELS)
+    if not (isinstance(edges, (int, np.integer)) and MIN_EDGES <= edges <= MAX_EDGES):
+        raise InvalidInput(
+            f"edges is {shown(edges)}; expected a whole number from {MIN_EDGES} to {MAX_EDGES}"
+        )
+    if model == "soft":
+        torsion = number("torsion", torsion, *TORSION, f"{TORSION[0]:g} to {TORSION[1]:g} m")
     contacts = check_contacts(contact_position, contact_normal, in_contact, origin)
     shape = contacts.active.shape
-    mu = np.asarray(friction, float)
+    mu = numbers("friction", friction, f"one number or {shape}")
     if mu.shape not in ((), shape, shape[-1:]):
         raise InvalidInput(f"friction has shape {mu.shape}; expected one number or {shape}")
     mu = np.where(contacts.active, mu, 0.0)
-    if not (np.isfinite(mu) & (mu >= 0)).all():
-        raise InvalidInput(f"friction is {friction}; expected coefficients of 0 or more")
+    if not ((mu >= 0) & (mu <= MAX_FRICTION)).all():
+        raise InvalidInput(
+            f"friction is {shown(friction)}; expected coefficients of 0 to {MAX_FRICTION:g}"
+        )
+    mu = np.where(mu < _FRICTIONLESS, 0.0, mu)
     return FrictionalContacts(
         contacts,
         tangent_basis(contacts.normal),
@@ -128,7 +138,7 @@ def primitive_wrenches(cones: FrictionalContacts) -> Floats:
     maps = cones.maps
     wrenches = maps @ np.swapaxes(cones.rays[..., : maps.shape[-1]], -1, -2)
     wrenches = np.swapaxes(wrenches, -3, -2)
-    return wrenches.reshape(*wrenches.shape[:-2], -1)
+    return wrenches.reshape(*wrenches.shape[:-2], wrenches.shape[-2] * wrenches.shape[-1])
 
 
 def facets(edges: int, soft: bool) -> Floats:

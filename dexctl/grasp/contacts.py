@@ -7,23 +7,27 @@ With w = G f for wrenches, the contact velocities of an object twist t are G^T t
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.hand import HandModel
 from dexctl.state import Bools, Floats
-
-if TYPE_CHECKING:
-    from dexctl.hand import HandModel
+from dexctl.validation import numbers, shown
 
 CONTACT_MODELS = {"frictionless": 1, "hard": 3, "soft": 4}
 """Columns of the grasp map per contact: the normal force; the force in world axes; the force in
 world axes and the torque about the normal."""
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+MAX_ANGLE = 1e6
+"""Greatest joint angle [rad], for prismatic joints [m]."""
 NORMAL_TOLERANCE = 0.02  # on the squared norm of a unit normal
+MAX_DISTANCE = 1e6
+"""Greatest distance of a contact from the origin, along an axis [m]; beyond lies no hand."""
 
 
 class Contacts(NamedTuple):
@@ -66,20 +70,16 @@ def check_contacts(
             f"contact_normal has shape {normal.shape}; expected that of contact_position, "
             f"{position.shape}"
         )
-    offset = np.where(active[..., None], position - check_origin(origin, position), 0.0)
-    normal = np.where(active[..., None], normal, 0.0)
-    squared = np.einsum("...i,...i->...", normal, normal)
-    if not (np.isfinite(offset).all() and np.isfinite(squared).all()):
-        raise InvalidInput(
-            "contact_position, contact_normal or origin is not finite for a finger in contact "
-            f"(first at index {_first_bad(offset, normal)})"
-        )
-    wrong = np.abs(squared - active) > NORMAL_TOLERANCE
-    if wrong.any():
-        index = tuple(int(i) for i in np.argwhere(wrong)[0])
-        raise InvalidInput(
-            f"contact_normal{list(index)} has length {np.sqrt(squared[index]):.4g}; expected 1"
-        )
+    away = check_origin(origin, position)
+    with np.errstate(over="ignore", invalid="ignore"):
+        offset = np.where(active[..., None], position - away, 0.0)
+        normal = np.where(active[..., None], normal, 0.0)
+        squared = np.einsum("...i,...i->...", normal, normal)
+        # written so that NaN is wrong
+        wrong = ~(np.abs(squared - active) <= NORMAL_TOLERANCE)
+        far = np.logical_not((np.abs(offset) <= MAX_DISTANCE).all(axis=-1))
+    if wrong.any() or far.any():
+        raise InvalidInput(_what_is_wrong(offset, normal, wrong, np.asarray(far)))
     return Contacts(offset, normal, active)
 
 
@@ -89,8 +89,15 @@ def tangent_basis(normal: ArrayLike) -> Floats:
     ``normal`` is ``(..., 3)``, unit. The frame varies smoothly with the normal except where
     n_z changes sign (Duff et al., "Building an orthonormal basis, revisited", JCGT 2017).
     A zero normal gives finite numbers of no meaning.
+
+    Raises:
+        InvalidInput: another shape, or a component that no unit vector has.
     """
-    n = np.asarray(normal, float)
+    n = numbers("normal", normal, "(..., 3)")
+    if n.ndim == 0 or n.shape[-1] != 3:
+        raise InvalidInput(f"normal has shape {n.shape}; expected (..., 3)")
+    if not (np.abs(n) <= 2.0).all():
+        raise InvalidInput(f"normal is {shown(normal)}; expected unit vectors")
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
     sign = np.where(z < 0, -1.0, 1.0)
     a = -1.0 / (sign + z)
@@ -125,8 +132,7 @@ def grasp_map(
         InvalidInput: shapes that do not belong together, numbers not finite, no normals.
         UnknownName: no such model.
     """
-    if model not in CONTACT_MODELS:
-        raise UnknownName("contact model", model, CONTACT_MODELS)
+    check_model(model, CONTACT_MODELS)
     position = _rows(contact_position, "contact_position")
     batch, m = position.shape[:-2], position.shape[-2]
     if model == "hard":  # a hard finger's map does not depend on the normal
@@ -165,11 +171,23 @@ def hand_jacobian(
         contact_position: ``(..., m, 3)`` [m], world frame.
         in_contact: ``(..., m)`` bool; None: all. Rows of the others are zero, and their
             positions are not read.
+
+    Raises:
+        InvalidInput: shapes that do not belong together, or numbers that are not finite.
     """
+    if not isinstance(hand, HandModel):
+        raise InvalidInput(f"hand is {shown(hand)}; expected a HandModel")
+    q = numbers("q", q, f"(..., {hand.nq})")
+    if not (np.abs(q) <= MAX_ANGLE).all():
+        raise InvalidInput(f"q is {shown(q)}; expected angles of at most {MAX_ANGLE:.0e} rad")
     position = _rows(contact_position, "contact_position")
     if in_contact is None:
         in_contact = np.ones(position.shape[:-1], bool)
     active = check_mask(in_contact, position.shape[:-1])[..., None]
+    far = ~(np.abs(np.where(active, position, 0.0)) <= MAX_DISTANCE)
+    if far.any():
+        index = [int(i) for i in np.argwhere(far)[0][:-1]]
+        raise InvalidInput(f"contact_position{index} is not finite, or over {MAX_DISTANCE:.0e} m")
     jacobian = hand.contact_jacobian(q, np.where(active, position, 0.0)) * active[..., None]
     return jacobian.reshape(*jacobian.shape[:-3], 3 * hand.n_fingers, hand.nq)
 
@@ -181,17 +199,30 @@ def cross(a: Floats, b: Floats) -> Floats:
     return product
 
 
+def check_model(model: object, known: Collection[str]) -> None:
+    """Raise UnknownName where ``model`` is no contact model of those ``known``."""
+    if not (isinstance(model, str) and model in known):
+        raise UnknownName("contact model", model if isinstance(model, str) else shown(model), known)
+
+
 def check_mask(in_contact: ArrayLike, shape: tuple[int, ...]) -> Bools:
     """``in_contact`` as bools of ``shape``."""
-    active = np.asarray(in_contact)
+    try:
+        active = np.asarray(in_contact)
+    except ValueError:  # rows of different lengths
+        active = np.asarray(None)
     if active.shape != shape:
         raise InvalidInput(f"in_contact has shape {active.shape}; expected {shape}")
+    if active.dtype != bool and not (
+        active.dtype.kind in "iuf" and ((active == 0) | (active == 1)).all()
+    ):
+        raise InvalidInput(f"in_contact is {shown(in_contact)}; expected bools")
     return active.astype(bool, copy=False)
 
 
 def check_origin(origin: ArrayLike, position: Floats) -> Floats:
     """``origin`` with an axis for the fingers, ``(..., 1, 3)`` or ``(1, 3)``."""
-    origin = _numbers(origin, "origin", "(..., 3)")
+    origin = numbers("origin", origin, "(..., 3)")
     batch = position.shape[:-2]
     if origin.shape not in ((3,), (*batch, 3)):
         raise InvalidInput(f"origin has shape {origin.shape}; expected {(*batch, 3)} or (3,)")
@@ -199,19 +230,26 @@ def check_origin(origin: ArrayLike, position: Floats) -> Floats:
 
 
 def _rows(value: ArrayLike, name: str) -> Floats:
-    rows = _numbers(value, name, "(..., m, 3)")
+    rows = numbers(name, value, "(..., m, 3)")
     if rows.ndim < 2 or rows.shape[-1] != 3:
         raise InvalidInput(f"{name} has shape {rows.shape}; expected (..., m, 3)")
     return rows
 
 
-def _numbers(value: ArrayLike, name: str, shape: str) -> Floats:
-    try:
-        return np.asarray(value, float)
-    except (TypeError, ValueError):
-        raise InvalidInput(f"{name} is not an array of numbers; expected {shape}") from None
-
-
-def _first_bad(offset: Floats, normal: Floats) -> list[int]:
+def _what_is_wrong(offset: Floats, normal: Floats, wrong: Bools, far: Bools) -> str:
     bad = ~(np.isfinite(offset) & np.isfinite(normal)).all(axis=-1)
-    return [int(i) for i in np.argwhere(bad)[0]]
+    which = bad if bad.any() else wrong if wrong.any() else far
+    index = tuple(int(i) for i in np.argwhere(which)[0])
+    if bad.any():
+        return (
+            "contact_position, contact_normal or origin is not finite for a finger in contact "
+            f"(first at index {list(index)})"
+        )
+    if wrong.any():
+        largest = np.abs(normal[index]).max()  # squares could overflow or vanish
+        length = largest * np.linalg.norm(normal[index] / largest) if largest else 0.0
+        return f"contact_normal{list(index)} has length {length:.4g}; expected 1"
+    return (
+        f"contact_position{list(index)} is {np.abs(offset[index]).max():.4g} m from the origin; "
+        f"expected at most {MAX_DISTANCE:.0e} m"
+    )

@@ -19,11 +19,17 @@ from dexctl.grasp.cones import (
     check_cones,
     facets,
 )
+from dexctl.grasp.contacts import MAX_DISTANCE
 from dexctl.state import Bools, Floats
+from dexctl.validation import number, numbers, shown
 
 BALANCE = 1e-6
 """Share of the external wrench that feasible forces may leave unbalanced."""
+MAX_WRENCH = 1e9
+"""Greatest force and torque that is asked for [N, N m]."""
 _ACCURACY = 1e-8
+_NOTHING = 1e-100  # N; what is below would be lost in squares
+_UNBOUNDED = 1e20  # to ProxQP
 _MAX_ITERATIONS = 40
 _MAX_INNER_ITERATIONS = 100
 _EFFORT_SHARE = 3e-4  # weight of the effort beside the wrench left over
@@ -111,20 +117,22 @@ def grasp_forces(
     )
     batch, m = cones.friction.shape[:-1], cones.friction.shape[-1]
     wrench = _finite(external_wrench, "external_wrench", (6,), batch)
-    if max_normal is not None and not (np.isfinite(max_normal) and max_normal > 0):
-        raise InvalidInput(f"max_normal is {max_normal}; expected newtons above 0")
+    if max_normal is not None:
+        wanted = f"newtons above 0, to {MAX_WRENCH:g}, or None"
+        max_normal = number("max_normal", max_normal, 0.0, MAX_WRENCH, wanted, above=True)
     joints, limits = _check_effort(jacobian, effort, cones)
     scale = cones.length[..., None]
     wrench = np.concatenate([wrench[..., :3], wrench[..., 3:] / scale], axis=-1)
 
-    maps, columns = cones.maps.reshape(-1, m, *cones.maps.shape[-2:]), cones.maps.shape[-1]
+    count, columns = int(np.prod(batch)), cones.maps.shape[-1]
+    maps = cones.maps.reshape(count, m, 6, columns)
     unit = np.ones((*batch, m, columns))  # contact axes, in units of the friction limits
     unit[..., :2] = cones.friction[..., None]
     unit[..., 3:] = cones.torsion
-    unit = unit.reshape(-1, m, columns)
-    basis = cones.basis.reshape(-1, m, 3, 3)
-    active = cones.contacts.active.reshape(-1, m)
-    wrench, lengths = wrench.reshape(-1, 6), cones.length.ravel()
+    unit = unit.reshape(count, m, columns)
+    basis = cones.basis.reshape(count, m, 3, 3)
+    active = cones.contacts.active.reshape(count, m)
+    wrench, lengths = wrench.reshape(count, 6), cones.length.ravel()
     rows = facets(cones.edges, cones.torsion > 0)
     contact_force = np.zeros((len(maps), m, columns))
     violation = np.linalg.norm(wrench, axis=-1)
@@ -138,7 +146,7 @@ def grasp_forces(
             torque = np.swapaxes(joints[i, touch], -1, -2) @ basis[i, touch]  # (k, d, 3)
             torque = np.concatenate([torque, np.zeros((*torque.shape[:-1], columns - 3))], axis=-1)
             torque = np.swapaxes(torque * unit[i, touch][:, None], 0, 1).reshape(limits.size, -1)
-            bounded = np.isfinite(limits)
+            bounded = limits < _UNBOUNDED * size
             limit = torque[bounded], limits[bounded] / size
         solution = _least_effort(
             maps[i, touch] * unit[i, touch][:, None],
@@ -146,7 +154,7 @@ def grasp_forces(
             weight,
             rows,
             limit,
-            None if max_normal is None else max_normal / size,
+            None if max_normal is None else min(max_normal / size, _UNBOUNDED),
         )
         contact_force[i, touch] = solution * size * unit[i, touch]
     reached = np.einsum("nmij,nmj->ni", maps, contact_force)
@@ -188,13 +196,13 @@ def _least_effort(
     grasp = np.swapaxes(maps, 0, 1).reshape(6, count)
     matrix = np.vstack([np.kron(np.eye(k), rows), limit[0]])
     upper = np.concatenate([np.zeros(k * len(rows)), limit[1]])
-    lower = np.concatenate([np.full(k * len(rows), -1e20), -limit[1]])
+    lower = np.concatenate([np.full(k * len(rows), -_UNBOUNDED), -limit[1]])
     if max_normal is not None:
         normal = np.zeros((k, count))
         normal[np.arange(k), np.arange(k) * columns + 2] = 1.0
         matrix = np.vstack([matrix, normal])
         upper = np.concatenate([upper, np.full(k, max_normal)])
-        lower = np.concatenate([lower, np.full(k, -1e20)])
+        lower = np.concatenate([lower, np.full(k, -_UNBOUNDED)])
     qp = proxsuite.proxqp.dense.QP(count + 6, 6, len(upper))
     qp.settings.eps_abs = _ACCURACY
     qp.settings.max_iter = _MAX_ITERATIONS
@@ -226,11 +234,13 @@ def _least_effort(
 
 
 def _finite(value: ArrayLike, name: str, tail: tuple[int, ...], batch: tuple[int, ...]) -> Floats:
-    array = np.asarray(value, float)
+    array = numbers(name, value, f"{(*batch, *tail)}")
     if array.shape not in (tail, (*batch, *tail)):
         raise InvalidInput(f"{name} has shape {array.shape}; expected {(*batch, *tail)}")
-    if not np.isfinite(array).all():
-        raise InvalidInput(f"{name} is not finite: {value}")
+    if not (np.abs(array) <= MAX_WRENCH).all():
+        wanted = f"numbers of at most {MAX_WRENCH:g} N and N m"
+        raise InvalidInput(f"{name} is not finite, or too large: {shown(value)}; expected {wanted}")
+    array = np.where(np.abs(array) < _NOTHING, 0.0, array)
     return np.broadcast_to(array, (*batch, *tail))
 
 
@@ -242,19 +252,22 @@ def _check_effort(
         if effort is not None:
             raise InvalidInput("effort is given without jacobian; expected both")
         return None, None
-    joints = np.asarray(jacobian, float)
+    joints = numbers("jacobian", jacobian, f"{(*cones.friction.shape, 3, 'd')}")
     fingers = cones.friction.shape
     if joints.ndim != len(fingers) + 2 or joints.shape[:-1] != (*fingers, 3):
         raise InvalidInput(f"jacobian has shape {joints.shape}; expected {(*fingers, 3, 'd')}")
     joints = np.where(cones.contacts.active[..., None, None], joints, 0.0)
-    if not np.isfinite(joints).all():
-        raise InvalidInput("jacobian is not finite for a finger in contact")
-    joints = joints.reshape(-1, *joints.shape[-3:])
+    if not (np.abs(joints) <= MAX_DISTANCE).all():
+        raise InvalidInput(
+            "jacobian is not finite for a finger in contact, or above "
+            f"{MAX_DISTANCE:.0e} m: {shown(jacobian)}"
+        )
+    joints = joints.reshape(int(np.prod(fingers[:-1])), *joints.shape[-3:])
     if effort is None:
         return joints, None
-    limits = np.asarray(effort, float)
+    limits = numbers("effort", effort, f"{joints.shape[-1]} torque limits")
     if limits.shape != joints.shape[-1:] or not (limits >= 0).all():
         raise InvalidInput(
-            f"effort is {effort}; expected {joints.shape[-1]} torque limits of 0 N m or more"
+            f"effort is {shown(effort)}; expected {joints.shape[-1]} torque limits of 0 N m or more"
         )
     return joints, limits

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dexctl.exceptions import InvalidInput
 from dexctl.grasp.closure import is_force_closure
 from dexctl.grasp.cones import (
     DEFAULT_EDGES,
@@ -17,6 +18,8 @@ from dexctl.grasp.cones import (
     primitive_wrenches,
 )
 from dexctl.state import Floats
+
+MAX_HULL_EDGES = 32
 
 
 def epsilon_quality(
@@ -48,7 +51,7 @@ def epsilon_quality(
         length: what torques are divided by [m], ``(...)`` or one for all; None: the mean
             distance of the contacts from the origin, at least 1 mm.
         model: "hard" or "soft" (with a torque about the normal).
-        edges: edges of the inscribed pyramid.
+        edges: edges of the inscribed pyramid, 32 at most (a second for each grasp).
         torsion: torque about the normal over normal force of a soft finger [m].
 
     Raises:
@@ -66,6 +69,8 @@ def epsilon_quality(
         torsion,
         length,
     )
+    if edges > MAX_HULL_EDGES:
+        raise InvalidInput(f"edges is {edges}; expected at most {MAX_HULL_EDGES}: hulls grow fast")
     closed = np.atleast_1d(
         is_force_closure(
             contact_position,
@@ -79,7 +84,7 @@ def epsilon_quality(
         )
     ).ravel()
     wrenches = primitive_wrenches(cones)
-    wrenches = wrenches.reshape(-1, *wrenches.shape[-2:])
+    wrenches = wrenches.reshape(closed.size, *wrenches.shape[-2:])
     quality = np.zeros(len(wrenches))
     for i in np.flatnonzero(closed):
         quality[i] = _ball_radius(wrenches[i])
@@ -145,7 +150,7 @@ def _singular_values(
     if cones.torsion:
         maps = maps * np.array([1.0, 1.0, 1.0, cones.torsion])
     grasp = np.swapaxes(maps, -3, -2)
-    grasp = grasp.reshape(*grasp.shape[:-2], -1)
+    grasp = grasp.reshape(*grasp.shape[:-2], grasp.shape[-2] * grasp.shape[-1])
     missing = max(0, 6 - grasp.shape[-1])
     grasp = np.concatenate([grasp, np.zeros((*grasp.shape[:-1], missing))], axis=-1)
     return np.asarray(np.linalg.svd(grasp, compute_uv=False), float)

@@ -7,22 +7,35 @@ loses nothing; among equal residuals the forces nearest to one are taken, then t
 
 from __future__ import annotations
 
-from math import isfinite, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
-from dexctl.grasp.contacts import NORMAL_TOLERANCE, Contacts, check_contacts, cross
+from dexctl.grasp.contacts import (
+    MAX_DISTANCE,
+    NORMAL_TOLERANCE,
+    Contacts,
+    check_contacts,
+    cross,
+)
 from dexctl.grasp.stability_exact import solve_exact_batch
 from dexctl.grasp.stability_solver import solve_stability, solve_stability_batch
 from dexctl.state import Bools, Floats
+from dexctl.validation import number, numbers, shown
 
 MIN_LENGTH = 1e-3
 """Floor of the default length [m]: one contact with the centroid as origin has distance 0."""
 MIN_REGULARISER = 1e-6
 """Smallest regulariser beside 0; below it round-off shows in the forces."""
+MAX_REGULARISER = 1e6
+"""Greatest regulariser; long before it all forces are one."""
+SHORTEST = 1e-9
+"""Least length of all [m]."""
+LEAST_LENGTH = 1e-6
+"""Least length, as a share of the distance of the contact farthest from the origin."""
 MAX_CONDITION = 1e9
 """Squared length of a unit wrench, over the regulariser, above which W'W does not do."""
 
@@ -71,9 +84,9 @@ def stability_forces(
         contact_normal: ``(..., m, 3)``, unit, from the fingertip into the object.
         in_contact: ``(..., m)`` bool; rows of the others are not read.
         origin: ``(..., 3)`` [m], or one ``(3,)`` for all.
-        length: ``(...)`` or one for all [m]; None: the mean distance of the contacts from the
-            origin, at least 1 mm.
-        regulariser: rho, 0 or at least 1e-6. About 1e-3 keeps the answer from jumping under
+        length: ``(...)`` or one for all [m], at least a millionth of the distance of the farthest
+            contact; None: the mean distance of the contacts from the origin, at least 1 mm.
+        regulariser: rho, 0 or 1e-6 to 1e6. About 1e-3 keeps the answer from jumping under
             sensor noise.
         min_force: least force of every finger in contact, in [0, 1].
         max_force: ``(..., m)`` or ``(m,)``, in [0, 1]: greatest force of each finger, for
@@ -87,23 +100,24 @@ def stability_forces(
     Raises:
         InvalidInput: naming the argument, its value and what was expected.
     """
-    if not (regulariser == 0.0 or (isfinite(regulariser) and regulariser >= MIN_REGULARISER)):
-        raise InvalidInput(f"regulariser is {regulariser}; expected 0 or at least 1e-6")
-    if not 0.0 <= min_force <= 1.0:
-        raise InvalidInput(f"min_force is {min_force}; expected a share in [0, 1]")
-    if regulariser and np.ndim(contact_position) == 2:
+    wanted = f"0, or {MIN_REGULARISER:g} to {MAX_REGULARISER:g}"
+    regulariser = number("regulariser", regulariser, 0.0, MAX_REGULARISER, wanted)
+    if 0.0 < regulariser < MIN_REGULARISER:
+        raise InvalidInput(f"regulariser is {regulariser}; expected {wanted}")
+    min_force = number("min_force", min_force, 0.0, 1.0, "a share in [0, 1]")
+    if regulariser and not (isinstance(contact_position, np.ndarray) and contact_position.ndim > 2):
         try:
             solution = _solve_one(
-                np.asarray(contact_position, float),
-                np.asarray(contact_normal, float),
+                numbers("contact_position", contact_position, ""),
+                numbers("contact_normal", contact_normal, ""),
                 np.asarray(in_contact),
-                np.asarray(origin, float),
+                numbers("origin", origin, ""),
                 None if length is None else float(length),  # type: ignore[arg-type]
                 regulariser,
                 min_force,
-                max_force,
+                None if max_force is None else numbers("max_force", max_force, ""),
             )
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):  # said in so many words below
             solution = None
         if solution is not None:
             return solution
@@ -146,11 +160,19 @@ def characteristic_length(contacts: Contacts, length: ArrayLike | None) -> Float
         distance = np.sqrt(np.einsum("...i,...i->...", contacts.position, contacts.position))
         count = np.maximum(contacts.active.sum(axis=-1), 1)
         return np.maximum(distance.sum(axis=-1) / count, MIN_LENGTH)
-    value = np.asarray(length, float)
+    value = numbers("length", length, f"{batch} or one number")
     if value.shape not in ((), batch):
         raise InvalidInput(f"length has shape {value.shape}; expected {batch} or one number")
-    if not (np.isfinite(value).all() and (value > 0).all()):
-        raise InvalidInput(f"length is {length}; expected metres above 0")
+    if not ((value >= SHORTEST) & (value <= MAX_DISTANCE)).all():
+        raise InvalidInput(
+            f"length is {shown(length)}; expected metres from {SHORTEST:g} to {MAX_DISTANCE:.0e}"
+        )
+    farthest = np.abs(contacts.position).max(axis=(-1, -2), initial=0.0)
+    if not (farthest * LEAST_LENGTH <= value).all():
+        raise InvalidInput(
+            f"length is {shown(length)}, with contacts up to {farthest.max():.3g} m from the "
+            f"origin; expected at least {LEAST_LENGTH:.0e} of that"
+        )
     return np.broadcast_to(value, batch)
 
 
@@ -158,12 +180,12 @@ def _upper(max_force: ArrayLike | None, active: Bools) -> Floats:
     """The greatest force of each finger, ``(..., m)``; 0 out of contact."""
     if max_force is None:
         return active.astype(float)
-    limit = np.asarray(max_force, float)
+    limit = numbers("max_force", max_force, f"{active.shape}")
     if limit.shape not in (active.shape, active.shape[-1:]):
         raise InvalidInput(f"max_force has shape {limit.shape}; expected {active.shape}")
     limit = np.where(active, limit, 0.0)
     if not ((limit >= 0) & (limit <= 1)).all():
-        raise InvalidInput(f"max_force is {max_force}; expected shares in [0, 1]")
+        raise InvalidInput(f"max_force is {shown(max_force)}; expected shares in [0, 1]")
     return limit
 
 
@@ -175,24 +197,25 @@ def _solve_one(
     length: float | None,
     regulariser: float,
     min_force: float,
-    max_force: ArrayLike | None,
+    max_force: Floats | None,
 ) -> StabilitySolution | None:
     """One hand, in plain Python numbers: a fifth of the time that the arrays would take.
 
     None where an argument is not what it should be, for the general path to say so.
     """
+    if position.ndim != 2:
+        return None
     m = len(position)
     fingers, three = (m,), (m, 3)
     if position.shape != three or normal.shape != three or in_contact.shape != fingers:
         return None
-    if origin.shape != (3,):
+    if origin.shape != (3,) or in_contact.dtype != bool:
         return None
     limits = [1.0] * m
     if max_force is not None:
-        limit = np.asarray(max_force, float)
-        if limit.shape != fingers:
+        if max_force.shape != fingers:
             return None
-        limits = limit.tolist()
+        limits = max_force.tolist()
     touching = [i for i, touch in enumerate(in_contact.tolist()) if touch]
     if not touching:
         return None
@@ -210,13 +233,14 @@ def _solve_one(
         rows.append([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
         total += sqrt(x * x + y * y + z * z)
     scale = max(total / len(touching), MIN_LENGTH) if length is None else length
-    if not (scale > 0.0 and isfinite(scale) and isfinite(total)):
+    least = max(SHORTEST, LEAST_LENGTH * total)
+    if not (least <= scale <= MAX_DISTANCE and total <= MAX_DISTANCE):
         return None
     wrenches = np.array(rows)
     wrenches[:, 3:] *= 1.0 / scale
     hessian = wrenches @ wrenches.T
     hessian.ravel()[:: len(touching) + 1] += regulariser
-    if hessian.max() >= MAX_CONDITION * regulariser:
+    if not hessian.max() < MAX_CONDITION * regulariser:
         return None
     upper = [limits[i] for i in touching]
     lower = [min(min_force, u) for u in upper]

@@ -19,6 +19,10 @@ from dexctl.grasp.contacts import check_mask
 from dexctl.grasp.forces import GraspForces, grasp_forces
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import check_mask as check_chosen
+from dexctl.validation import number
+
+DAY = 86400.0
+_MOST = float(np.finfo(float).max)
 
 
 class HoldsSetPoints(Protocol):
@@ -182,14 +186,15 @@ def check_stable(
     Raises:
         InvalidInput: bounds out of range, or a plant that does not track the object.
     """
-    for name, value in (("seconds", seconds), ("max_distance", max_distance)):
-        if not (np.isfinite(value) and value > 0):
-            raise InvalidInput(f"{name} is {value}; expected a number above 0")
-    if max_rotation is not None and not max_rotation > 0:
-        raise InvalidInput(f"max_rotation is {max_rotation}; expected radians above 0, or None")
-    period = float(plant.control_period)
-    if not (np.isfinite(period) and period > 0):
-        raise InvalidInput(f"plant.control_period is {period}; expected seconds above 0")
+    seconds = number("seconds", seconds, 0.0, DAY, "seconds above 0, a day at most", above=True)
+    wanted = "metres above 0"
+    max_distance = number("max_distance", max_distance, 0.0, _MOST, wanted, above=True)
+    if max_rotation is not None:
+        wanted = "radians above 0, or None"
+        max_rotation = number("max_rotation", max_rotation, 0.0, _MOST, wanted, above=True)
+    min_contacts = int(number("min_contacts", min_contacts, 0, 1e6, "a number of fingers"))
+    period = plant.control_period
+    period = number("plant.control_period", period, 1e-6, DAY, "seconds from 1e-6 on")
     start = plant.read()
     if start.object_position is None:
         raise InvalidInput("plant.read().object_position is None; the check needs a tracked object")
