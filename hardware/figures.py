@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from dexctl.exceptions import InvalidInput
 from dexctl.state import Bools, Floats
 from hardware.log import Log
 
@@ -27,7 +28,7 @@ _WORDS = {
 
 
 _OUTCOMES = {
-    "idle": "ended as wanted (idle)",
+    "idle": "ended as wanted",
     "hold": "was held",
     "fault": "ended in a fault",
 }
@@ -39,10 +40,15 @@ def in_full(outcome: str) -> str:
 
 
 def figures_of_merit(log: Log) -> dict[str, float]:
-    """Numbers of a log, with units in their names; {} of a log without ticks."""
+    """Numbers of a log, with units in their names; {} of a log without ticks.
+
+    Raises:
+        InvalidInput: the log is so damaged that its ticks do not hold what figures are made of.
+    """
     ticks = log.ticks
     if len(ticks.get("time", ())) < 2:
         return {}
+    check_ticks(log)
     time, error = ticks["time"], ticks["q_target"] - ticks["q"]
     found = {
         "seconds": float(time[-1] - time[0]),
@@ -63,6 +69,26 @@ def figures_of_merit(log: Log) -> dict[str, float]:
         if not held[-1]:
             found["object_lost_at_s"] = float(time[held.sum()])
     return found
+
+
+_DIMENSIONS = {"time": 1, "lateness": 1, "q": 2, "q_target": 2, "torque": 2, "fresh": 2,
+               "in_contact": 2, "contact_force": 2}  # fmt: skip
+
+
+def check_ticks(log: Log) -> None:
+    """InvalidInput unless the ticks are a run's: numbers of the right shapes, times that rise."""
+    for name, dimensions in _DIMENSIONS.items():
+        column = log.ticks.get(name)
+        if column is None or column.dtype == object or column.ndim != dimensions:
+            raise InvalidInput(
+                f"{log.path}: its ticks hold no {name}; the log is damaged, or not of a run"
+            )
+    joints = {log.ticks[name].shape for name in ("q", "q_target", "torque", "fresh")}
+    if len(joints) > 1:
+        raise InvalidInput(f"{log.path}: its ticks differ in how many joints; the log is damaged")
+    time = log.ticks["time"]
+    if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
+        raise InvalidInput(f"{log.path}: the times of its ticks do not rise; the log is damaged")
 
 
 def in_words(figures: Mapping[str, float]) -> list[tuple[str, str]]:
@@ -86,8 +112,9 @@ def object_turn(log: Log) -> tuple[Floats, Bools] | None:
     none = np.empty(0)
     position = log.ticks.get("object_position", none)
     quaternion = log.ticks.get("object_quaternion", none)
-    if any(values.dtype == object or values.ndim != 2 for values in (position, quaternion)):
-        return None
+    for values, size in ((position, 3), (quaternion, 4)):
+        if values.dtype == object or values.shape[1:] != (size,):
+            return None
     away = np.linalg.norm(position - position[0], axis=1)
     held = np.logical_and.accumulate(away <= DROP_DISTANCE)
     return rotation_about(quaternion, held=held), held

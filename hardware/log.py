@@ -15,8 +15,10 @@ import struct
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from enum import Enum
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -189,6 +191,8 @@ class Log:
         health, events: messages, each with its ``time`` [s].
         summary: what the run said at its end; {} where it never came to it.
         cut: whether the file ends before its end mark.
+        damage: what else is wrong with the file, for people; "" for nothing. Messages that cannot
+            be read, and ticks without what every tick has, are left out.
     """
 
     path: Path
@@ -198,7 +202,8 @@ class Log:
     events: tuple[Mapping[str, Any], ...]
     summary: Mapping[str, Any]
     cut: bool
-    messages: int = field(default=0)
+    messages: int = 0
+    damage: str = ""
 
 
 def read_log(path: str | Path) -> Log:
@@ -216,50 +221,106 @@ def read_log(path: str | Path) -> Log:
     except OSError as error:
         raise InvalidInput(f"cannot read {path}: {error.strerror}") from None
     topics: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
-    whole = False
+    ends: set[_End] = set()
+    unread = 0
     for item in _messages(content, path):
-        if item is None:
-            whole = True
+        if isinstance(item, _End):
+            ends.add(item)
+        elif item is None:
+            unread += 1
         else:
             topics[item[0]].append(item[1])
-    ticks = topics["/tick"]
+    ticks, health, events = (
+        _alike(topics[topic], needed)
+        for topic, needed in (("/tick", TICK), ("/health", HEALTH), ("/event", EVENT))
+    )
+    unread += sum(
+        len(topics[topic]) - len(kept)
+        for topic, kept in (("/tick", ticks), ("/health", health), ("/event", events))
+    )
+    damage = [f"{unread} messages are damaged and left out"] if unread else []
+    damage += ["its checksum is wrong"] if _End.CHECKSUM in ends else []
     names = [name for name in ticks[0] if all(name in tick for tick in ticks)] if ticks else []
     return Log(
         path=path,
         run=topics["/run"][0] if topics["/run"] else {},
         ticks={name: _column([tick[name] for tick in ticks]) for name in names},
-        health=tuple(topics["/health"]),
-        events=tuple(topics["/event"]),
+        health=tuple(health),
+        events=tuple(events),
         summary=topics["/summary"][-1] if topics["/summary"] else {},
-        cut=not whole,
+        cut=not ends,
         messages=sum(len(found) for found in topics.values()),
+        damage="; ".join(damage),
     )
 
 
-def _messages(content: bytes, path: Path) -> Iterator[tuple[str, dict[str, Any]] | None]:
-    """(topic, message) of what is whole in the file; None at its end mark."""
+TICK = ("time", "state", "q", "q_target", "velocity", "torque", "fresh", "age", "in_contact",
+        "contact_force", "lateness")  # fmt: skip
+HEALTH = ("time", "voltage", "temperature")
+EVENT = ("time", "event", "state", "detail")
+
+
+def _alike(messages: list[dict[str, Any]], needed: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Messages whose values of ``needed`` are of the form that those of most have."""
+    forms = [tuple(_form(message.get(name, _MISSING)) for name in needed) for message in messages]
+    if not forms:
+        return []
+    ((usual, _),) = Counter(forms).most_common(1)
+    return [message for message, form in zip(messages, forms, strict=True) if form == usual]
+
+
+_MISSING = object()
+
+
+def _form(value: object) -> object:
+    """What kind of value it is: one of the same form fits into the same array."""
+    if isinstance(value, list):
+        inside = {_form(item) for item in value}
+        return (len(value), inside.pop()) if len(inside) == 1 else (len(value), frozenset(inside))
+    if value is None or isinstance(value, float | int):
+        return "number"
+    return "missing" if value is _MISSING else type(value).__name__
+
+
+class _End(Enum):
+    MARK = "the end mark"
+    CHECKSUM = "the end, with another checksum than the writer's"
+
+
+def _messages(content: bytes, path: Path) -> Iterator[tuple[str, dict[str, Any]] | _End | None]:
+    """(topic, message) of what is whole in the file; None of what is not; its end."""
     from mcap.exceptions import McapError
     from mcap.records import Channel, Footer, Message
-    from mcap.stream_reader import StreamReader
+    from mcap.stream_reader import CRCValidationError, StreamReader
 
     magic = b"\x89MCAP0\r\n"
     if content[: len(magic)] != magic[: len(content)]:
         raise InvalidInput(f"{path} is no MCAP file")
     names: dict[int, str] = {}
     # No record is longer than the file: a length made of half a number must not ask for memory.
-    reader = StreamReader(io.BytesIO(content), record_size_limit=len(content))
+    reader = StreamReader(io.BytesIO(content), record_size_limit=len(content), validate_crcs=True)
     try:
         for record in reader.records:
             if isinstance(record, Channel):
                 names[record.id] = record.topic
             elif isinstance(record, Message) and names.get(record.channel_id) in _INDEX:
-                message = json.loads(record.data)
-                if isinstance(message, dict):
-                    yield names[record.channel_id], message
+                message = _parsed(record.data)
+                yield None if message is None else (names[record.channel_id], message)
             elif isinstance(record, Footer):
-                yield None
-    except (McapError, EOFError, struct.error, ValueError):
-        return  # cut off here
+                yield _End.MARK
+    except CRCValidationError:
+        yield _End.CHECKSUM
+    except (McapError, EOFError, struct.error, ValueError, LookupError, OverflowError):
+        return  # cut off here, or the records' own lengths are damaged
+
+
+def _parsed(data: bytes) -> dict[str, Any] | None:
+    """A message; None where it is none."""
+    try:
+        message = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    return message if isinstance(message, dict) else None
 
 
 def _column(values: list[Any]) -> np.ndarray:

@@ -33,7 +33,7 @@ def write_log(source: BinaryIO, descriptor: int, path: Path) -> None:
     from mcap.writer import Writer
 
     with os.fdopen(descriptor, "wb", closefd=False) as file:
-        writer = Writer(file, use_chunking=False)
+        writer = Writer(file, use_chunking=False, enable_data_crcs=True)
         writer.start(profile="", library="dexctl")
         schema = writer.register_schema(name="json", encoding="jsonschema", data=_SCHEMA)
         told = False

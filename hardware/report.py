@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,9 +11,18 @@ import numpy as np
 
 from dexctl.files import write_text
 from dexctl.report import html
-from dexctl.report.style import GRID, drawing, finger_colour, legend_above, new_figure
+from dexctl.report.style import (
+    FAINT,
+    GRID,
+    INK,
+    drawing,
+    finger_colour,
+    legend_above,
+    new_figure,
+)
 from dexctl.state import Floats
-from hardware.figures import figures_of_merit, in_words, object_turn
+from hardware.figures import figures_of_merit, in_full, in_words, object_turn
+from hardware.findings import findings, joint_names, torque_limit, touch_threshold
 from hardware.log import Log
 
 if TYPE_CHECKING:
@@ -27,10 +38,12 @@ def write(log: Log, path: Path) -> None:
 
 def build(log: Log) -> str:
     """The report as one HTML document; a log without ticks gives a page that says so."""
-    run = log.run
     figures = figures_of_merit(log)
     sections = [html.section("What happened", *_what_happened(log))]
     if figures:
+        if found := findings(log):
+            parts = [html.paragraph(sentence) for sentence in found]
+            sections.append(html.section("What to look at", *parts))
         sections.append(html.section("Figures", html.facts(in_words(figures))))
         with drawing():
             sections.append(html.section("Joints", _tracking(log), _torque(log)))
@@ -41,10 +54,49 @@ def build(log: Log) -> str:
                 sections.append(html.section("Servos", _health(log)))
     else:
         sections.append(html.paragraph("The log holds no ticks.", "note"))
-    about = [(key, str(value)) for key, value in run.items() if not isinstance(value, dict | list)]
-    sections.append(html.section("Run", html.facts([("log", log.path.name), *about])))
-    name = str(run.get("controller", "a run"))
-    return html.page(f"{name} on a servo hand", str(run.get("date", "")), sections)
+    sections.append(html.section("Run", html.facts([("log", log.path.name), *_about(log)])))
+    name = str(log.run.get("controller", "a run"))
+    where = "an emulated servo hand" if log.run.get("emulated") else "a servo hand"
+    return html.page(f"{name} on {where}", str(log.run.get("date", "")), sections)
+
+
+_RUN = {
+    "controller": "controller",
+    "date": "date",
+    "hand": "hand",
+    "emulated": "emulated",
+    "models": "servos",
+    "calibration_date": "calibrated",
+    "stiffness_nm_per_rad": "stiffness [N m/rad]",
+    "damping_nms_per_rad": "damping [N m s/rad]",
+    "action_latency_s": "latency of actions [s]",
+    "object": "object",
+    "palm": "palm looks",
+    "touch": "touch",
+    "rate_hz": "control rate [Hz]",
+    "seed": "seed",
+}
+"""Of what a log says first: what people read."""
+
+
+def _about(log: Log) -> list[tuple[str, str]]:
+    """What was run, with limits, as rows for people."""
+    rows = [
+        (words, _said(value))
+        for key, words in _RUN.items()
+        if not isinstance(value := log.run.get(key, {}), dict | list)
+    ]
+    for name, unit in (("speed_limit", "rad/s"), ("torque_limit", "N m")):
+        limits = log.run.get("limits")
+        if isinstance(limits, dict) and isinstance(value := limits.get(name), float | int):
+            rows.append((f"{name.replace('_', ' ')} [{unit}]", f"{value:g}"))
+    return rows
+
+
+def _said(value: object) -> str:
+    if value is None or isinstance(value, bool):
+        return {True: "yes", False: "no", None: "none"}[value]
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _what_happened(log: Log) -> list[str]:
@@ -52,17 +104,20 @@ def _what_happened(log: Log) -> list[str]:
     parts = []
     if log.cut:
         parts.append(html.paragraph("The log ends before its end mark: the run was cut off."))
+    if log.damage:
+        parts.append(html.paragraph(f"The log is damaged: {log.damage}."))
     if summary:
         cause = f" ({summary['cause']})" if summary.get("cause") else ""
-        parts.append(
-            html.paragraph(f"Outcome: {summary['outcome']}{cause}; {summary['torque_message']}.")
-        )
-        counts = summary.get("counts", {})
-        parts.append(html.table(("event", "times"), [(k, str(v)) for k, v in counts.items()]))
+        torque = summary.get("torque_message", "the torque state is not known from this log")
+        ended = in_full(str(summary.get("outcome")))
+        parts.append(html.paragraph(f"The run {ended}{cause}; {torque}."))
+        counts = summary.get("counts")
+        if isinstance(counts, dict):
+            parts.append(html.table(("event", "times"), [(k, str(v)) for k, v in counts.items()]))
     else:
         parts.append(html.paragraph("No summary: the torque state is not known from this log."))
     rows = [
-        (f"{e.get('time', 0):.2f} s", *(str(e.get(key)) for key in ("event", "state", "detail")))
+        (_seconds(e.get("time")), *(str(e.get(key)) for key in ("event", "state", "detail")))
         for e in log.events
     ]
     return [*parts, html.table(("time", "event", "state", "detail"), rows)]
@@ -75,29 +130,113 @@ def _tracking(log: Log) -> str:
 
 
 def _torque(log: Log) -> str:
-    return _by_finger(log, log.ticks["torque"], "torque, by current [N m]", "torque over time")
+    caption = "Torque by what the servos measure."
+    limit = torque_limit(log)
+    if limit is not None:
+        caption += f" The limit is {limit:g} N m: thin lines, where it is near."
+    return _by_finger(
+        log, log.ticks["torque"], "torque [N m]", "torque over time", caption,
+        [] if limit is None else [-limit, limit],
+    )  # fmt: skip
 
 
 def _force(log: Log) -> str:
-    return _by_finger(log, log.ticks["contact_force"], "normal force [N]", "forces over time")
+    threshold = touch_threshold(log)
+    caption = "" if threshold is None else f"Thin line: what counts as touch, {threshold:g} N."
+    return _by_finger(
+        log, log.ticks["contact_force"], "normal force [N]", "forces over time", caption,
+        [] if threshold is None else [threshold],
+    )  # fmt: skip
 
 
-def _by_finger(log: Log, values: Floats, label: str, alt: str, caption: str = "") -> str:
-    """Columns of ``(T, k)`` over time; equal shares of them are each finger's."""
-    fingers, count = max(log.ticks["in_contact"].shape[1], 1), values.shape[1]
-    figure = new_figure(_WIDTH, 2.8)
+_ALIKE = 0.005  # of a plot's height: about the width of a line
+_STYLES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
+_ORDINALS = ("1st", "2nd", "3rd", "4th", "5th")
+
+
+def _by_finger(
+    log: Log, values: Floats, label: str, alt: str, caption: str = "", bounds: Sequence[float] = ()
+) -> str:
+    """Columns of ``(T, k)`` over time: a colour for each finger, a line style for its joints."""
+    fingers = _fingers(log, values.shape[1])
+    figure = new_figure(_WIDTH, 2.9)
     axes = figure.subplots()
-    for j in range(count):
-        finger = j * fingers // count
-        first = j == 0 or (j - 1) * fingers // count < finger
-        name = f"finger {finger + 1}" if first else None
+    place: Counter[int] = Counter()
+    order = []  # of each joint in its finger
+    for finger in fingers:
+        order.append(place[finger])
+        place[finger] += 1
+    known: set[str] = set()
+    for columns in _coinciding(values):
+        among = sorted({fingers[j] for j in columns})
+        # curves upon one another would all seem to be the last one's
+        colour = INK if len(among) > 1 else finger_colour(among[0])
+        name = f"finger {', '.join(str(finger + 1) for finger in among)}"
+        name += " alike" if len(among) > 1 else ""
         axes.plot(
-            log.ticks["time"], values[:, j], color=finger_colour(finger), linewidth=0.8, label=name
-        )
+            log.ticks["time"], values[:, columns[0]], color=colour, linewidth=0.9,
+            linestyle=_STYLES[order[columns[0]] % len(_STYLES)],
+            label=None if name in known else name,
+        )  # fmt: skip
+        known.add(name)
+    most = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
+    for bound in bounds:
+        if most > 0.5 * abs(bound):  # far away it would only flatten the curves
+            axes.axhline(bound, color=FAINT, linewidth=0.6)
     axes.set(xlabel="time [s]", ylabel=label)
     _shade(axes, log)
     legend_above(axes)
+    joints = min(max(place.values()), len(_STYLES))
+    if joints > 1:
+        _legend_of_styles(axes, joints)
     return html.plot(figure, alt, caption)
+
+
+def _legend_of_styles(axes: Axes, joints: int) -> None:
+    """Which line style is which joint of a finger, in a row above the fingers' legend."""
+    from matplotlib.lines import Line2D
+
+    fingers = axes.get_legend()
+    assert fingers is not None
+    lines = [
+        Line2D([], [], color=INK, linewidth=0.9, linestyle=style, label=f"{order} joint")
+        for order, style in zip(_ORDINALS[:joints], _STYLES, strict=False)
+    ]
+    axes.legend(
+        handles=lines, loc="lower left", bbox_to_anchor=(0, 1.08), ncols=joints,
+        borderaxespad=0.2, handlelength=2.4, columnspacing=1.4,
+    )  # fmt: skip
+    axes.add_artist(fingers)
+
+
+def _coinciding(values: Floats) -> list[list[int]]:
+    """Columns of ``(T, k)`` in groups of those that could not be told apart in a plot."""
+    span = float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
+    groups: list[list[int]] = []
+    for j, column in enumerate(values.T):
+        for group in groups:
+            apart = np.nan_to_num(np.abs(column - values[:, group[0]]))
+            if apart.max() <= _ALIKE * span:
+                group.append(j)
+                break
+        else:
+            groups.append([j])
+    return groups
+
+
+def _fingers(log: Log, count: int) -> list[int]:
+    """Which finger each of ``count`` columns is of: by the log, or in equal shares."""
+    if count == log.ticks["in_contact"].shape[1]:
+        return list(range(count))
+    said = log.run.get("joint_fingers")
+    if isinstance(said, list) and len(said) == count and all(isinstance(f, int) for f in said):
+        return said
+    fingers = max(log.ticks["in_contact"].shape[1], 1)
+    return [j * fingers // count for j in range(count)]
+
+
+def _seconds(value: object) -> str:
+    return f"{value:.2f} s" if isinstance(value, float | int) else "?"
 
 
 def _shade(axes: Axes, log: Log) -> None:
@@ -138,11 +277,36 @@ def _clock(log: Log) -> str:
 
 
 def _health(log: Log) -> str:
-    time = [item["time"] for item in log.health]
-    figure = new_figure(_WIDTH, 2.4)
+    time = np.array([item["time"] for item in log.health], float)
+    figure = new_figure(_WIDTH, 2.6)
     axes = figure.subplots(1, 2)
-    for axis, name, unit in ((axes[0], "temperature", "C"), (axes[1], "voltage", "V")):
+    for axis, name, unit, high in (
+        (axes[0], "temperature", "\N{DEGREE SIGN}C", "hottest"),
+        (axes[1], "voltage", "V", "highest"),
+    ):
         values = np.array([item[name] for item in log.health], float)
-        axis.plot(time, values, linewidth=0.8)
+        low = {"hottest": "coolest", "highest": "lowest"}[high]
+        axis.fill_between(time, values.min(axis=1), values.max(axis=1), color=GRID, linewidth=0)
+        mean = np.nan_to_num(np.nanmean(values, axis=0))
+        picked = [(1, high, int(mean.argmax())), (0, low, int(mean.argmin()))]
+        for finger, word, servo in picked if np.ptp(mean) else picked[:1]:
+            alike = np.ptp(mean) == 0
+            axis.plot(
+                time, values[:, servo], color=finger_colour(finger), linewidth=1.0,
+                label="all servos" if alike else f"{word}: {_servo(log, servo)}",
+            )  # fmt: skip
         axis.set(xlabel="time [s]", ylabel=f"{name} [{unit}]")
-    return html.plot(figure, "temperature and voltage over time", "One line per servo.")
+        middle, span = float(np.nanmean(values)), float(np.nanmax(values) - np.nanmin(values))
+        if span < 1.0:  # a flat line is no drama
+            axis.set_ylim(middle - 1.0, middle + 1.0)
+        axis.legend(loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2)
+    return html.plot(
+        figure, "temperature and voltage over time", "Grey: from the lowest to the highest of all."
+    )
+
+
+def _servo(log: Log, column: int) -> str:
+    """The servo of a column, by its joint where the log says it."""
+    servos = log.run.get("servos")
+    ids = servos if isinstance(servos, list) and len(servos) > column else None
+    return f"servo {ids[column] if ids else column + 1} ({joint_names(log)[column]})"

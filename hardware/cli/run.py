@@ -158,14 +158,20 @@ def about(
         "hand": options.scene.hand,
         "emulated": options.emulate,
         "joints": list(calibration.joint_names),
+        "joint_fingers": fingers_of(options.load()[0]),
         "servos": calibration.servo.tolist(),
-        "calibration_date": calibration.date.isoformat(),
+        "calibration_date": None if options.calibration is None else calibration.date.isoformat(),
         "stiffness_nm_per_rad": options.scene.stiffness,
         "damping_nms_per_rad": options.scene.damping,
         "action_latency_s": options.scene.limits.action_latency,
         "limits": asdict(limits),
         "machine": machine(),
     }
+
+
+def fingers_of(model: HandModel) -> list[int]:
+    """The finger that each joint moves (of several, the first), for pictures."""
+    return model.moves.argmax(axis=0).tolist()
 
 
 def make_controller(name: str, model: HandModel, rate: float | None = None) -> Controller:

@@ -1,0 +1,126 @@
+"""What a person should look at in a log: sentences, each made of a number and a bound."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dexctl.state import Bools, Floats
+from hardware.log import Log
+
+AT_LIMIT = 0.95
+"""A joint is at its torque limit from this share of it on."""
+LIMITED_SHARE = 0.05
+"""Of the time that a joint may be there before it is told."""
+CHATTER = 2.0
+"""Touches that a fingertip may make in a second before it is told; a gait makes fewer."""
+NEAR = 1.5
+"""A force is near the threshold up to so many times it."""
+LATE_SHARE = 0.05
+STALE_SHARE = 0.01
+
+
+def findings(log: Log) -> list[str]:
+    """Sentences for people, the gravest first; none where there is nothing to look at."""
+    run = running(log)
+    if run.sum() < 2:
+        return []
+    return [*_at_torque_limit(log, run), *_chattering(log, run), *_clock(log, run)]
+
+
+def running(log: Log) -> Bools:
+    """Ticks in which the controller ran, ``(T,)``."""
+    state = log.ticks.get("state")
+    return np.ones(len(log.ticks["time"]), bool) if state is None else state == "run"
+
+
+def joint_names(log: Log) -> list[str]:
+    """Of the columns of joints."""
+    count = log.ticks["q"].shape[1]
+    names = log.run.get("joints")
+    if isinstance(names, Sequence) and not isinstance(names, str) and len(names) == count:
+        return [str(name) for name in names]
+    return [f"joint {j + 1}" for j in range(count)]
+
+
+def torque_limit(log: Log) -> float | None:
+    """The limit that the run had [N m], where the log says it."""
+    return _number(log.run, "limits", "torque_limit")
+
+
+def touch_threshold(log: Log) -> float | None:
+    """From which force on a fingertip counted as touching [N], where the log says it."""
+    return _number(log.run, "scene", "sensing", "touch_threshold")
+
+
+def shares_at_limit(log: Log, run: Bools) -> Floats:
+    """Share of the running time that each joint was at its torque limit, ``(d,)``."""
+    limit = torque_limit(log)
+    torque = np.abs(log.ticks["torque"][run])
+    return np.zeros(torque.shape[1]) if limit is None else (torque >= AT_LIMIT * limit).mean(axis=0)
+
+
+def touches_per_second(log: Log, run: Bools) -> Floats:
+    """How often each fingertip began to touch, ``(m,)`` [1/s]."""
+    touch, time = log.ticks["in_contact"][run] > 0.5, log.ticks["time"][run]
+    made = (touch[1:] & ~touch[:-1]).sum(axis=0)
+    return made / max(float(time[-1] - time[0]), 1e-9)
+
+
+def _at_torque_limit(log: Log, run: Bools) -> list[str]:
+    shares, limit = shares_at_limit(log, run), torque_limit(log)
+    names = joint_names(log)
+    which = [
+        f"{names[j]} ({shares[j]:.0%} of the run)"
+        for j in np.argsort(-shares)
+        if shares[j] > LIMITED_SHARE
+    ]
+    if not which:
+        return []
+    return [
+        f"At the torque limit of {limit:g} N m: {', '.join(which)}. Blocked, the grasp too tight "
+        "or the object too heavy."
+    ]
+
+
+def _chattering(log: Log, run: Bools) -> list[str]:
+    rates, threshold = touches_per_second(log, run), touch_threshold(log)
+    said = []
+    for finger in np.flatnonzero(rates > CHATTER):
+        touch = log.ticks["in_contact"][run][:, finger] > 0.5
+        force = float(np.median(log.ticks["contact_force"][run][touch, finger]))
+        text = f"Finger {finger + 1} made and lost touch {rates[finger]:.1f} times a second"
+        if threshold is not None and force < NEAR * threshold:
+            text += (
+                f", at forces about the threshold of {threshold:g} N (median {force:.1f} N): it "
+                "presses too weakly to be told from not touching"
+            )
+        said.append(f"{text}.")
+    return said
+
+
+def _clock(log: Log, run: Bools) -> list[str]:
+    said = []
+    late = float(np.nanmean(log.ticks["lateness"][run] > 1e-3))
+    if late > LATE_SHARE:
+        said.append(
+            f"{late:.0%} of the ticks began more than 1 ms late: fewer other programs, real-time "
+            "scheduling or a lower --rate."
+        )
+    stale = 1.0 - log.ticks["fresh"][run].mean(axis=0)
+    names = joint_names(log)
+    said += [
+        f"{names[j]} did not answer in {stale[j]:.0%} of the ticks: look at its cable."
+        for j in np.flatnonzero(stale > STALE_SHARE)
+    ]
+    return said
+
+
+def _number(tree: object, *path: str) -> float | None:
+    for name in path:
+        if not isinstance(tree, dict):
+            return None
+        tree = tree.get(name)
+    good = isinstance(tree, int | float) and not isinstance(tree, bool) and np.isfinite(tree)
+    return float(tree) if good else None  # type: ignore[arg-type]
