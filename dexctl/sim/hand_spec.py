@@ -98,6 +98,8 @@ def _without_servos(hand: HandModel) -> tuple[mujoco.MjSpec, list[str]]:
         spec = _read_mjcf(hand)
         own_options(spec)
         _strip(spec, hand, notes)
+        _settle_masses(spec, hand)
+        _plain_defaults(spec)
         _check_tips(spec, hand, notes)
     _couple(spec, hand, notes)
     _turn(spec, hand.base_rotation)
@@ -127,6 +129,57 @@ def own_options(spec: mujoco.MjSpec) -> None:
         setattr(spec, name, getattr(fresh, name))
 
 
+_MASS_SETTINGS = ("settotalmass", "boundmass", "boundinertia", "inertiafromgeom")
+
+
+def _settle_masses(spec: mujoco.MjSpec, hand: HandModel) -> None:
+    """Write masses into the bodies where the compiler would make them up for our object too."""
+    fresh = mujoco.MjSpec().compiler
+    groups = fresh.inertiagrouprange.copy()
+    same = all(getattr(spec.compiler, n) == getattr(fresh, n) for n in _MASS_SETTINGS)
+    if same and np.array_equal(spec.compiler.inertiagrouprange, groups):
+        return
+    model = lean_model(spec, hand)
+    for body in spec.bodies[1:]:
+        i = model.body(body.name).id
+        body.explicitinertial, body.mass = True, model.body_mass[i]
+        body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
+        body.inertia = model.body_inertia[i]
+        body.fullinertia = np.full(6, np.nan)
+    for name in _MASS_SETTINGS:
+        setattr(spec.compiler, name, getattr(fresh, name))
+    spec.compiler.inertiagrouprange = groups
+
+
+_KINDS = ("geom", "joint", "actuator", "equality", "mesh", "material", "light", "camera")
+_NO_VALUES = (
+    "alt",
+    "classname",
+    "compiler",
+    "frame",
+    "id",
+    "info",
+    "parent",
+    "plugin",
+    "signature",
+)
+
+
+def _plain_defaults(spec: mujoco.MjSpec) -> None:
+    """Make MuJoCo's defaults those of all that is added from now on; what is there has its own."""
+    fresh = mujoco.MjSpec()
+    for kind in _KINDS:
+        theirs, ours = getattr(spec.default, kind), getattr(fresh.default, kind)
+        for name in dir(ours):
+            if name.startswith("_") or name in _NO_VALUES:
+                continue
+            value = getattr(ours, name)
+            choice = hasattr(type(value), "__members__")
+            if choice or isinstance(value, (int, float, np.ndarray)):
+                setattr(theirs, name, value)
+    spec.default.geom.material = ""
+
+
 def _strip(spec: mujoco.MjSpec, hand: HandModel, notes: list[str]) -> None:
     """Take out what belongs to other simulations: keyframes, sensors, loose bodies, idle joints."""
     for item in (*spec.keys, *spec.sensors):
@@ -146,6 +199,10 @@ def _strip(spec: mujoco.MjSpec, hand: HandModel, notes: list[str]) -> None:
             spec.delete(body)
     if loose:
         notes.append(f"loose bodies of the file left out: {listed(loose)}")
+    closed = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+    loops = [f"{e.name1} to {e.name2}" for e in spec.equalities if e.type in closed and e.active]
+    if loops:
+        notes.append(f"constraints that the kinematics does not know: {listed(loops)}")
     idle = [joint.name for joint in spec.joints if joint.name not in used]
     if idle:
         _delete(spec, idle)

@@ -130,6 +130,11 @@ def add_servos(
         else:
             removed.append(actuator.name or f"actuator {i}")
         spec.delete(actuator)
+    slow = [n for n, one in kept.items() if one.dyntype != mujoco.mjtDyn.mjDYN_NONE]
+    for name in slow:  # their state would begin at zero, whatever the grasp
+        kept[name].dyntype = mujoco.mjtDyn.mjDYN_NONE
+    if slow:
+        notes.append(f"filters of position actuators left out: {listed(slow)}")
     servos = hand.config.servos
     stiffness, damping = servos.of("stiffness", names), servos.of("damping", names)
     for name, joints in together:

@@ -25,7 +25,7 @@ from dexctl.state import Floats
 TIP_RADIUS = 0.008
 """Radius of the sphere that a fingertip without any collision geometry gets [m]."""
 MENDED_SHARE = 0.5
-"""Largest share of C by which principal moments A + B < C are mended; none is possible above 1."""
+"""Up to which share of C principal moments A + B < C are mended; 1 is A = B = 0."""
 _DENSITY = 1000.0  # of links without a mass [kg/m^3]
 _LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-8  # of a link that moves and has neither [kg], [kg m^2]
 _MESHES = (".obj", ".stl", ".msh")  # what MuJoCo reads
@@ -377,7 +377,7 @@ class _Reader:
         short = (c - a - b) / c
         if short <= 0:
             return np.array([a, b, c])
-        if short > MENDED_SHARE or moments[0] < -MENDED_SHARE * c:
+        if short > MENDED_SHARE or moments[0] < -1e-6 * c:
             raise SimulationError(
                 f"{self.path}: link {link!r} has the principal moments of inertia "
                 f"{', '.join(f'{m:.3g}' for m in moments)} kg m^2; of no body the largest is more "

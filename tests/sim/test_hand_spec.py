@@ -421,6 +421,56 @@ def test_links_side_by_side_do_not_collide(urdf_hand: Hands) -> None:
     assert model.nexclude >= 5
 
 
+LEAKING = """
+<default>
+  <geom margin="0.01" gap="0.01" solref="0.1 1" solimp="0.1 0.2 0.1" priority="2" solmix="3"
+    group="3" type="box" density="9" material="m"/>
+  <joint damping="1" armature="1" frictionloss="2" range="0 1" limited="true"/>
+  <position ctrlrange="-9 9" forcerange="-0.1 0.1" timeconst="0.1"/>
+  <general gear="3" ctrlrange="-9 9" forcerange="-0.1 0.1" biasprm="1 2 3" delay="0.1" nsample="3"/>
+  <mesh scale="2 2 2"/><equality solref="0.5 1" solimp="0.1 0.2 0.1"/>
+</default>"""
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
+def test_defaults_and_masses_of_the_file_are_not_the_objects(changed_dex5: Hands) -> None:
+    plain = Scene.build("dex5", "icosahedron")
+    hand = changed_dex5(
+        ("\n  <default>\n", "\n" + LEAKING + '<asset><material name="m"/></asset>\n<default>\n'),
+        ("<compiler ", '<compiler settotalmass="2" inertiagrouprange="3 3" '),
+        ("<position name=", "<motor name="),
+        servos=ServoConfig(stiffness=3.0, damping=0.15, effort=0.5),
+    )  # fmt: skip
+    scene = Scene.build(hand, "icosahedron")
+    for name in ("margin", "gap", "solref", "solimp", "priority", "solmix", "friction", "condim"):
+        field = f"geom_{name}"
+        ours = [getattr(one.model, field)[one.model.ngeom - 1] for one in (plain, scene)]
+        np.testing.assert_array_equal(ours[1], ours[0], err_msg=name)
+    np.testing.assert_allclose(scene.model.mesh_vert, plain.model.mesh_vert, atol=1e-6)
+    body, other = (one.model.body(one.object_body) for one in (scene, plain))
+    np.testing.assert_allclose(body.mass, 0.1)
+    np.testing.assert_allclose(body.inertia, other.inertia)
+    hands = scene.model.body_mass.sum() - 0.1
+    assert hands == pytest.approx(2.0)  # as the file has it, for the hand alone
+    assert (scene.model.dof_damping[scene.object_qvel] == 0).all()
+    np.testing.assert_array_equal(scene.ctrl_per_radian, 1.0)
+    np.testing.assert_allclose(scene.stiffness, 3.0)
+    np.testing.assert_allclose(
+        scene.model.actuator_biasprm[scene.actuators, :3], [[0, -3.0, -0.15]] * 15
+    )
+    np.testing.assert_allclose(scene.model.actuator_forcerange[scene.actuators, 1], 0.5)
+    assert scene.model.na == 0
+
+
+def test_a_filter_of_a_position_actuator_is_left_out(changed_dex5: Hands) -> None:
+    """Its state would begin at zero, so that the hand opens whenever an episode begins."""
+    hand = changed_dex5(('kv="0.15"', 'kv="0.15" timeconst="0.1"'))
+    scene = Scene.build(hand)
+    assert scene.model.na == 0
+    assert any(note.startswith("filters of position actuators left out") for note in scene.notes)
+    np.testing.assert_array_equal(scene.settled.qpos, Scene.build("dex5").settled.qpos)
+
+
 def test_a_hand_on_a_wrist(changed_dex5: Hands) -> None:
     mass = '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
     wrist = '<body name="arm"><joint name="wrist" axis="0 0 1" range="-1 1" damping="0.5"/>'
@@ -441,14 +491,28 @@ def test_leap_made_for_gpu_physics_holds(leap_mjx: HandModel) -> None:
     plant = BatchSimulator(scene, 16, seed=0)
     for _ in range(100):
         plant.step()
-    position = plant.read().object_position
-    assert position is not None
-    moved = np.linalg.norm(position - plant.start_position, axis=1)
+    moved = np.linalg.norm(plant.read().object_centre() - plant.start_position, axis=1)
     assert (moved < 0.03).all()  # it sinks by 17 to 22 mm
 
 
 def test_leap_urdf_has_its_fingertips_where_kinematics_says(leap_urdf: HandModel) -> None:
     assert tip_errors(leap_urdf, hand_spec(leap_urdf).spec) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gravity", ["up", "down"])
+def test_leap_urdf_holds_what_is_suggested(leap_urdf: HandModel, gravity: str) -> None:
+    """Its fingers point along the file's z; neither actuators nor fingertip shapes in the file."""
+    grasp, *_ = Scene.suggest_grasp(leap_urdf, "cube", count=1, tries=6)
+    scene = Scene.build(
+        leap_urdf, "cube", gravity, object_size=grasp.size, grasp_centre=grasp.centre,
+        open_q=grasp.open_q, grasp_q=grasp.grasp_q,
+    )  # fmt: skip
+    plant = BatchSimulator(scene, 16, seed=0)
+    for _ in range(200):
+        plant.step()
+    moved = np.linalg.norm(plant.read().object_centre() - plant.start_position, axis=1)
+    assert (moved < 0.03).mean() > 0.9
 
 
 @pytest.fixture(scope="module")
