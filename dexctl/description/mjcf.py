@@ -41,7 +41,9 @@ def compile_mjcf(path: Path) -> Any:
     mujoco = load_mujoco()
     check_numbers(path)
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # a fingertip may be a body without joints
+        model = spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise HandModelError(f"{path}: MuJoCo cannot compile it: {reason}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -419,6 +420,36 @@ def test_links_side_by_side_do_not_collide(urdf_hand: Hands) -> None:
     mujoco.mj_forward(model, data)
     assert data.ncon == 0
     assert model.nexclude >= 5
+
+
+def test_two_hands_in_one_file_by_include_and_fused(tmp_path: Path, dex5: HandModel) -> None:
+    """The one whose fingertips are named moves; the other stays where it is."""
+    text = dex5.path.read_text()
+    (tmp_path / "right.xml").write_text(text)
+    names = re.compile(r'(name|class|childclass|joint|body1|body2)="((?:f\d|palm|dex5)[^"]*)"')
+    (tmp_path / "left.xml").write_text(names.sub(r'\1="left_\2"', text))
+    both = tmp_path / "both.xml"
+    both.write_text(
+        '<mujoco><compiler fusestatic="true"/><include file="right.xml"/>'
+        '<include file="left.xml"/></mujoco>'
+    )
+    for side in ("", "left_"):
+        config = replace(
+            dex5.config,
+            description=both,
+            fingertips={f"{side}{tip}": at for tip, at in dex5.config.fingertips.items()},
+            postures=PostureConfig(
+                open={f"{side}{j}": a for j, a in dex5.config.postures.open.items()}
+            ),
+        )
+        hand = config.build()
+        assert len(hand.ignored_joints) == 15
+        spec, notes = hand_spec(hand)
+        assert tip_errors(hand, spec) < 1e-12
+        model = lean_model(spec, hand)
+        assert (model.nq, model.nu) == (15, 15)
+        assert {j.name.startswith("left") for j in spec.joints} == {bool(side)}
+        assert any("stay where they are" in note for note in notes)
 
 
 LEAKING = """
