@@ -4,6 +4,7 @@ from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
 from dexctl.planning.grow import Progress, grow
 from dexctl.planning.header import TreeHeader
+from dexctl.planning.kinematic import Kinematic
 from dexctl.planning.macros import ControllerMacros
 from dexctl.planning.metric import Metric
 from dexctl.planning.nodes import Frame, Nodes
@@ -17,6 +18,7 @@ __all__ = [
     "Expander",
     "Expansion",
     "Frame",
+    "Kinematic",
     "Metric",
     "Nodes",
     "Offspring",

@@ -1,0 +1,176 @@
+"""Contacts without physics: fingertips on an object's surface, moved with it, let go and put down.
+
+A fingertip is a ball, its contact the point of the object's surface nearest to the ball's centre;
+it stays there while the object moves, and the ball rolls on it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dexctl.grasp import is_force_closure
+from dexctl.rotations import inverse, rotate
+from dexctl.sim import Scene
+from dexctl.sim.hand_geometry import HandGeometry, LinkPoses
+from dexctl.sim.shapes import Shape
+from dexctl.state import Bools, Floats
+
+_NEWTON = 12  # steps of inverse kinematics at most
+_DAMPING = 1e-6  # of its least squares [m^2]
+_MISSED = 2e-4  # a ball further than this from its place has not reached it [m]
+
+
+class Reached(NamedTuple):
+    """Postures found by inverse kinematics.
+
+    Attributes:
+        q: ``(N, d)`` [rad].
+        poses: the links there.
+        tip: the balls there, ``(N, m, 3)`` [m].
+        good: whose wanted balls are in their places, within the joint limits, ``(N,)``.
+    """
+
+    q: Floats
+    poses: LinkPoses
+    tip: Floats
+    good: Bools
+
+
+class ContactModel:
+    """Hand and object of a scene as contacts see them.
+
+    Args:
+        scene: hand and object.
+        friction: assumed by the closure test.
+        margin: how far links stay away from the object and from other fingers [m].
+    """
+
+    def __init__(self, scene: Scene, friction: float, margin: float) -> None:
+        self.scene, self.hand = scene, scene.hand
+        self.geometry = HandGeometry(scene)
+        self.shape = Shape.of_body(scene.model)
+        self.friction, self.margin = friction, margin
+        self._joints = np.where(self._own(), self.hand.finger_joints, -1)
+        links = self.geometry.links
+        self._between = self._pairs()
+        self._links = links
+
+    def _own(self) -> Bools:
+        count = self.hand.moves.sum(axis=1)
+        return np.arange(self.hand.finger_joints.shape[1]) < count[:, None]
+
+    def _pairs(self) -> NDArray[np.intp]:
+        """Pairs of balls, tips behind the links, of different fingers, that may meet."""
+        links, tips = self.geometry.links, self.geometry.tips
+        finger = np.concatenate([links.finger, tips.finger])
+        link = np.concatenate([links.link, tips.link])
+        # the outer halves of fingers meet; what is near the palm does not
+        depth = np.array([int(self.geometry.depth[i]) if i >= 0 else -1 for i in link])
+        outer = np.array(
+            [d >= self.geometry.depth[t] for d, t in zip(depth, tips.link[finger], strict=True)]
+        )
+        chosen = np.flatnonzero(outer & (finger >= 0))
+        first, second = np.triu_indices(len(chosen), 1)
+        a, b = chosen[first], chosen[second]
+        return np.stack([a, b])[:, finger[a] != finger[b]]
+
+    def surface(
+        self, tip: Floats, position: Floats, quaternion: Floats
+    ) -> tuple[Floats, Floats]:
+        """Nearest points of the surface to balls ``(N, m, 3)``, and the normals into the object.
+
+        World frame, ``(N, m, 3)`` each.
+        """
+        turn = np.broadcast_to(quaternion[:, None], (*tip.shape[:2], 4))
+        local = rotate(inverse(turn), tip - position[:, None])
+        point, outward = self.shape.nearest(local)
+        return rotate(turn, point) + position[:, None], -rotate(turn, outward)
+
+    def closed(self, point: Floats, normal: Floats, touch: Bools, origin: Floats) -> Bools:
+        """Whether at least three contacts hold, as a force closure, ``(N,)``."""
+        found = touch.sum(axis=1) >= 3
+        rows = np.flatnonzero(found)
+        if len(rows):
+            found[rows] = is_force_closure(
+                point[rows], normal[rows], touch[rows], origin[rows], self.friction
+            )
+        return found
+
+    def reach(self, q: Floats, goal: Floats, wanted: Bools) -> Reached:
+        """Joints that bring the balls ``wanted`` ``(N, m)`` to ``goal`` ``(N, m, 3)``, from ``q``.
+
+        Newton's method, damped; joints stop at their limits.
+        """
+        q = q.copy()
+        lower, upper = self.scene.lower, self.scene.upper
+        poses = self.geometry.poses(q)
+        tip = poses.centres(self.geometry.tips)
+        open_ = np.arange(len(q))
+        for _ in range(_NEWTON):
+            error = np.where(wanted[open_, :, None], goal[open_] - tip[open_], 0.0)
+            far = np.abs(error).max(axis=(1, 2)) > 0.25 * _MISSED
+            open_, error = open_[far], error[far]
+            if not len(open_):
+                break
+            some = LinkPoses(*(part[open_] for part in poses))
+            jacobian = self.geometry.tip_jacobian(some, tip[open_])
+            length = np.linalg.norm(error, axis=-1, keepdims=True)
+            error = error * np.minimum(1.0, 0.03 / np.maximum(length, 1e-12))
+            gram = jacobian @ np.swapaxes(jacobian, -1, -2) + _DAMPING * np.eye(3)
+            step = np.swapaxes(jacobian, -1, -2) @ np.linalg.solve(gram, error[..., None])
+            q[open_] = np.clip(q[open_] + self.joints_of(step[..., 0]), lower, upper)
+            moved = self.geometry.poses(q[open_])
+            for part, new in zip(poses, moved, strict=True):
+                part[open_] = new
+            tip[open_] = moved.centres(self.geometry.tips)
+        error = np.where(wanted[..., None], goal - tip, 0.0)
+        good: Bools = np.asarray(np.linalg.norm(error, axis=-1).max(axis=1) < _MISSED)
+        return Reached(q, poses, tip, good)
+
+    def joints_of(self, finger_motion: Floats) -> Floats:
+        """Motions of each finger's joints ``(N, m, n)`` as motions of the d joints, ``(N, d)``."""
+        count, d = len(finger_motion), self.hand.nq
+        out = np.zeros((count, d + 1))
+        out[:, self._joints.ravel()] = finger_motion.reshape(count, -1)
+        return out[:, :d]
+
+    def clear(self, reached: Reached, touch: Bools, position: Floats, quaternion: Floats) -> Bools:
+        """Whether links keep off the object, free fingertips too, and fingers off each other."""
+        links, tips = self._links, self.geometry.tips
+        balls = reached.poses.centres(links)
+        turn = np.broadcast_to(quaternion[:, None], (*balls.shape[:2], 4))
+        local = rotate(inverse(turn), balls - position[:, None])
+        free = self._off(local, np.broadcast_to(links.radius + self.margin, local.shape[:2]))
+        turn = np.broadcast_to(quaternion[:, None], (*touch.shape, 4))
+        local = rotate(inverse(turn), reached.tip - position[:, None])
+        off = self._off(local, np.broadcast_to(tips.radius + self.margin, touch.shape))
+        every = np.concatenate([balls, reached.tip], axis=1)
+        radius = np.concatenate([links.radius, tips.radius])
+        a, b = self._between
+        apart = np.linalg.norm(every[:, a] - every[:, b], axis=-1)
+        met = (apart < radius[a] + radius[b] + self.margin).any(axis=1)
+        return free.all(axis=1) & (off | touch).all(axis=1) & ~met
+
+    def _off(self, local: Floats, radius: Floats) -> Bools:
+        """Whether the surface is further than ``radius`` from points in the object's frame."""
+        found = np.linalg.norm(local, axis=-1) > self.shape.radius + radius
+        near = ~found
+        if near.any():
+            found[near] = self.shape.distance(local[near]) > radius[near]
+        return found
+
+    def pressed(
+        self, reached: Reached, point: Floats, normal: Floats, touch: Bools, force: float
+    ) -> Floats:
+        """Set-points whose servos press with ``force`` [N] and carry the object, ``(N, d)``."""
+        scene = self.scene
+        share = np.maximum(touch.sum(axis=1), 1)[:, None, None]
+        weight = -scene.object_mass * scene.gravity / share
+        push = np.where(touch[..., None], force * normal + weight, 0.0)
+        jacobian = self.geometry.tip_jacobian(reached.poses, np.where(touch[..., None], point, reached.tip))
+        torque = np.swapaxes(jacobian, -1, -2) @ push[..., None]
+        target = reached.q + self.joints_of(torque[..., 0]) / scene.stiffness
+        return np.clip(target, scene.lower, scene.upper)
