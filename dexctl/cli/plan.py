@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import tyro
 
 from dexctl.cli.checks import make_folder
@@ -19,21 +20,25 @@ from dexctl.planning import (
     Bounds,
     ControllerMacros,
     Expansion,
+    Kinematic,
     Metric,
     Progress,
     RandomActions,
     Stability,
     Tree,
     grow,
+    holding,
 )
 from dexctl.settings import NESTED, Vector, from_plain
 from dexctl.sim import SceneConfig
+from dexctl.statistics import wilson
 from dexctl.validation import unit_axis
 
 if TYPE_CHECKING:
     from dexctl.sim import Scene
 
 TREE, FIGURES = "tree.npz", "plan.json"
+_CHECKED = 256  # nodes of a tree grown without physics that are held in simulation
 
 
 @dataclass(kw_only=True)
@@ -45,8 +50,8 @@ class Plan:
     """
 
     expand: str = "controllers"
-    """How nodes are expanded: controllers (as actions, in simulation) or random (changes of the
-    set-points, in simulation: G-RRT)."""
+    """How nodes are expanded: kinematic (contacts without physics: M-RRT), controllers (as actions,
+    in simulation) or random (changes of the set-points, in simulation: G-RRT)."""
     axis: Vector = "z"
     """Of the hand, about which the object is to be turned: x, y, z, -x, -y, -z, or x,y,z."""
     until_rotation: float | None = None
@@ -63,6 +68,7 @@ class Plan:
     """Go on with the tree in the folder."""
     json: Switch = False
     """Print one JSON object instead of the table."""
+    kinematic: Kinematic = field(default_factory=Kinematic)
     controllers: ControllerMacros = field(default_factory=ControllerMacros)
     random: RandomActions = field(default_factory=RandomActions)
     metric: Metric = field(default_factory=Metric)
@@ -107,6 +113,8 @@ class Plan:
                 f"interrupted; the tree is in {path}, and the same command with --resume goes on"
             ) from None
         found = describe(tree)
+        if not tree.header.physics_steps:
+            found["holds"] = self._held(scene, tree)
         self._write(found)
         if self.json:
             print_json(found)
@@ -115,10 +123,22 @@ class Plan:
         return 0
 
     def _expansion(self) -> Expansion:
-        known: dict[str, Expansion] = {"controllers": self.controllers, "random": self.random}
+        known: dict[str, Expansion] = {
+            "kinematic": self.kinematic,
+            "controllers": self.controllers,
+            "random": self.random,
+        }
         if self.expand not in known:
             raise UnknownName("--expand", self.expand, known)
         return known[self.expand]
+
+    def _held(self, scene: Scene, tree: Tree) -> dict[str, Any]:
+        """How many of a tree grown without physics hold in simulation, of a sample."""
+        rng = np.random.default_rng(self.seed)
+        rows = rng.choice(len(tree), min(_CHECKED, len(tree)), replace=False)
+        held = holding(scene, tree, rows, threads=self.scene.threads)
+        found = wilson(int(held.sum()), len(held))
+        return {"of": len(held), "share": found.value, "wilson95": [found.low, found.high]}
 
     def _tree(self, path: Path) -> Tree | None:
         if not self.resume:
@@ -231,6 +251,12 @@ def _print(tree: Tree, found: dict[str, Any]) -> None:
         ("physics steps", f"{header.physics_steps}"),
     ):
         shown.add_row(what, value)
+    if "holds" in found:
+        part, (low, high) = found["holds"], found["holds"]["wilson95"]
+        shown.add_row(
+            "hold in simulation",
+            f"{100 * part['share']:.0f} % ({100 * low:.0f} to {100 * high:.0f}) of {part['of']}",
+        )
     results().print(f"[bold]{header.hand} turns a {header.object}, {header.expansion}[/bold]\n")
     results().print(shown)
 

@@ -4,6 +4,7 @@ from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
 from dexctl.planning.grow import Progress, grow
 from dexctl.planning.header import TreeHeader
+from dexctl.planning.holding import holding
 from dexctl.planning.kinematic import Kinematic
 from dexctl.planning.macros import ControllerMacros
 from dexctl.planning.metric import Metric
@@ -29,4 +30,5 @@ __all__ = [
     "Tree",
     "TreeHeader",
     "grow",
+    "holding",
 ]

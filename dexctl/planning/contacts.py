@@ -38,6 +38,17 @@ class Reached(NamedTuple):
     tip: Floats
     good: Bools
 
+    def take(self, index: NDArray[np.intp] | Bools) -> Reached:
+        """Some of them, copied."""
+        poses = LinkPoses(*(part[index] for part in self.poses))
+        return Reached(self.q[index], poses, self.tip[index], self.good[index])
+
+    def put(self, rows: NDArray[np.intp], new: Reached) -> None:
+        """Write others over ``rows``."""
+        for part, value in zip(self.poses, new.poses, strict=True):
+            part[rows] = value
+        self.q[rows], self.tip[rows], self.good[rows] = new.q, new.tip, new.good
+
 
 class ContactModel:
     """Hand and object of a scene as contacts see them.
@@ -53,14 +64,8 @@ class ContactModel:
         self.geometry = HandGeometry(scene)
         self.shape = Shape.of_body(scene.model)
         self.friction, self.margin = friction, margin
-        self._joints = np.where(self._own(), self.hand.finger_joints, -1)
-        links = self.geometry.links
+        self._joints = np.where(self.geometry.own, self.hand.finger_joints, -1)
         self._between = self._pairs()
-        self._links = links
-
-    def _own(self) -> Bools:
-        count = self.hand.moves.sum(axis=1)
-        return np.arange(self.hand.finger_joints.shape[1]) < count[:, None]
 
     def _pairs(self) -> NDArray[np.intp]:
         """Pairs of balls, tips behind the links, of different fingers, that may meet."""
@@ -77,9 +82,7 @@ class ContactModel:
         a, b = chosen[first], chosen[second]
         return np.stack([a, b])[:, finger[a] != finger[b]]
 
-    def surface(
-        self, tip: Floats, position: Floats, quaternion: Floats
-    ) -> tuple[Floats, Floats]:
+    def surface(self, tip: Floats, position: Floats, quaternion: Floats) -> tuple[Floats, Floats]:
         """Nearest points of the surface to balls ``(N, m, 3)``, and the normals into the object.
 
         World frame, ``(N, m, 3)`` each.
@@ -139,7 +142,7 @@ class ContactModel:
 
     def clear(self, reached: Reached, touch: Bools, position: Floats, quaternion: Floats) -> Bools:
         """Whether links keep off the object, free fingertips too, and fingers off each other."""
-        links, tips = self._links, self.geometry.tips
+        links, tips = self.geometry.links, self.geometry.tips
         balls = reached.poses.centres(links)
         turn = np.broadcast_to(quaternion[:, None], (*balls.shape[:2], 4))
         local = rotate(inverse(turn), balls - position[:, None])
@@ -157,9 +160,10 @@ class ContactModel:
     def _off(self, local: Floats, radius: Floats) -> Bools:
         """Whether the surface is further than ``radius`` from points in the object's frame."""
         found = np.linalg.norm(local, axis=-1) > self.shape.radius + radius
-        near = ~found
-        if near.any():
-            found[near] = self.shape.distance(local[near]) > radius[near]
+        for distance in (self.shape.bound, self.shape.distance):  # the cheap one first
+            near = ~found
+            if near.any():
+                found[near] = distance(local[near]) > radius[near]
         return found
 
     def pressed(
@@ -170,7 +174,9 @@ class ContactModel:
         share = np.maximum(touch.sum(axis=1), 1)[:, None, None]
         weight = -scene.object_mass * scene.gravity / share
         push = np.where(touch[..., None], force * normal + weight, 0.0)
-        jacobian = self.geometry.tip_jacobian(reached.poses, np.where(touch[..., None], point, reached.tip))
+        jacobian = self.geometry.tip_jacobian(
+            reached.poses, np.where(touch[..., None], point, reached.tip)
+        )
         torque = np.swapaxes(jacobian, -1, -2) @ push[..., None]
         target = reached.q + self.joints_of(torque[..., 0]) / scene.stiffness
         return np.clip(target, scene.lower, scene.upper)

@@ -23,6 +23,7 @@ from dexctl.state import Bools, Floats
 from dexctl.switch.landing import azimuth, split, turned
 from dexctl.validation import check_numbers, check_whole
 
+_SUNK = 5e-4  # how far a fingertip may sink into the object where it lands [m]
 _SWITCH_TIME, _TURNING_SPEED = 1.5, 0.35  # for the cost of an edge [s], [rad/s]
 
 
@@ -31,7 +32,7 @@ class Kinematic(Expansion):
     """M-RRT: at most one finger is moved to another place, then the object with all that hold it.
 
     No physics: grasps are closures of at least three contacts whose links are clear, and their
-    set-points press. Whether they hold in simulation is for `verify` to say; nearly all do.
+    set-points press. Whether they hold in simulation is for `holding` to say; nearly all do.
     """
 
     step: float = 0.2
@@ -49,11 +50,11 @@ class Kinematic(Expansion):
     """Landings lie within this about the axis of where the finger was at the root [rad]."""
     height: float = 0.01
     """And within this of the object's centre along the axis [m]."""
-    friction: float = 0.7
+    friction: float = 0.5
     """Assumed by the closure test; below the real one."""
-    margin: float = 0.002
+    margin: float = 0.006
     """How far links stay away from the object and from other fingers [m]."""
-    force: float = 2.0
+    force: float = 1.5
     """With which each finger is pressed on [N]."""
     batch: int = 256
     """How many nodes are expanded at a time."""
@@ -72,7 +73,7 @@ class Kinematic(Expansion):
 
 
 class _KinematicExpander:
-    action_names = (
+    action_names: tuple[str, ...] = (
         "twist_x", "twist_y", "twist_z", "twist_rx", "twist_ry", "twist_rz",
         "finger", "landing_x", "landing_y", "landing_z",
     )  # fmt: skip
@@ -95,128 +96,112 @@ class _KinematicExpander:
     def __call__(
         self, nodes: Nodes, targets: NDArray[np.float32], rng: np.random.Generator
     ) -> Offspring:
-        problem, model, config = self._problem, self._model, self._config
-        count = len(nodes)
+        problem, model = self._problem, self._model
         poses = model.geometry.poses(nodes.q)
         tip = poses.centres(model.geometry.tips)
-        start = Reached(nodes.q, poses, tip, np.ones(count, bool))
-        touch = nodes.in_contact
-        position, quaternion = nodes.object_position, nodes.object_quaternion
-        point, normal = model.surface(tip, position, quaternion)
-        towards = targets - problem.metric.of(problem.frame, nodes)
-        turning = np.where(towards[:, -1] < 0, -1.0, 1.0)
-
-        finger = self._choose(touch, tip, position, turning, rng)
-        reached, touch, landing, refused = self._switch(
-            start, touch, finger, point, normal, position, quaternion, turning, rng
+        start = Reached(nodes.q.copy(), poses, tip, np.ones(len(nodes), bool))
+        towards = (targets - problem.metric.of(problem.frame, nodes)).astype(float)
+        finger, where = self._choose(nodes, tip, towards[:, -1], rng)
+        placed, touch, landing, refused = self._switch(start, nodes, finger, where, rng)
+        rows = np.flatnonzero(placed.good)
+        done, twist, position, quaternion = self._move(
+            placed.take(rows),
+            touch[rows],
+            nodes.object_position[rows],
+            nodes.object_quaternion[rows],
+            towards[rows],
         )
-        good = reached.good
-        rows = np.flatnonzero(good)
-        moved = self._move(
-            Reached(
-                reached.q[rows], *_rows(reached, rows)
-            ),
-            touch[rows], position[rows], quaternion[rows], towards[rows].astype(float),
+        moved = (np.abs(twist).max(axis=1, initial=0.0) > 0) | (finger[rows] >= 0)
+        refused["clearance"] += int((~moved).sum())
+        rows, twist = rows[moved], twist[moved]
+        made = self._made(
+            nodes.take(rows), done.take(moved), touch[rows], position[moved], quaternion[moved],
+            twist, finger[rows] >= 0,
         )  # fmt: skip
-        done, twist, position, quaternion = moved
-        same = ~(np.abs(twist).max(axis=1) > 0) & (finger[rows] < 0)
-        refused["clearance"] += int(same.sum())
-        keep = np.flatnonzero(~same)
-        made = self._nodes(nodes.take(rows[keep]), done, keep, touch[rows[keep]],
-                           position[keep], quaternion[keep], twist[keep], finger[rows[keep]])  # fmt: skip
         within = problem.bounds.hold(problem.frame, made)
         refused["bounds"] += int((~within).sum())
-        source = rows[keep][within]
-        action = np.column_stack([twist[keep], finger[rows[keep]].astype(float), landing[rows[keep]]])
-        return Offspring(made.take(within), source, action[within], refused, 0)
+        action = np.column_stack([twist, finger[rows].astype(float), landing[rows]])
+        return Offspring(made.take(within), rows[within], action[within], refused, 0)
 
     def _choose(
-        self, touch: Bools, tip: Floats, position: Floats, turning: Floats, rng: np.random.Generator
-    ) -> NDArray[np.intp]:
-        """The finger that each node moves, -1 for none."""
-        config, frame, count = self._config, self._problem.frame, len(touch)
-        flat = split(tip - position[:, None], frame.axis)[1]
-        self._angle = azimuth(self._neutral, flat, frame.axis)
-        finger = rng.integers(touch.shape[1], size=count)
-        furthest = np.argmax(turning[:, None] * self._angle + rng.uniform(0, 0.2, touch.shape), axis=1)
-        kind = rng.uniform(size=(2, count))
-        self._guided = kind[1] < config.guided
-        finger = np.where(self._guided, furthest, finger)
-        return np.where(kind[0] < config.switch, finger, -1)
+        self, nodes: Nodes, tip: Floats, towards: Floats, rng: np.random.Generator
+    ) -> tuple[NDArray[np.intp], Floats]:
+        """The finger that each node moves, -1 for none, and where to about the axis [rad]."""
+        config, frame, (count, m) = self._config, self._problem.frame, nodes.in_contact.shape
+        sense = np.where(towards < 0, -1.0, 1.0)
+        flat = split(tip - nodes.object_position[:, None], frame.axis)[1]
+        gone = sense[:, None] * azimuth(self._neutral, flat, frame.axis)
+        furthest = np.argmax(gone + rng.uniform(0, 0.2, (count, m)), axis=1)
+        guided = rng.uniform(size=count) < config.guided
+        finger = np.where(guided, furthest, rng.integers(m, size=count))
+        finger = np.where(rng.uniform(size=count) < config.switch, finger, -1)
+        where = np.where(
+            guided, -sense * rng.uniform(0.2, 1.0, count), rng.uniform(-1.0, 1.0, count)
+        )
+        return finger, config.landing * where
 
     def _switch(
         self,
         start: Reached,
-        touch: Bools,
+        nodes: Nodes,
         finger: NDArray[np.intp],
-        point: Floats,
-        normal: Floats,
-        position: Floats,
-        quaternion: Floats,
-        turning: Floats,
+        where: Floats,
         rng: np.random.Generator,
     ) -> tuple[Reached, Bools, Floats, Counter[str]]:
-        """Put fingers down elsewhere: where they land, and whether that is a grasp."""
-        model, config, frame = self._model, self._config, self._problem.frame
-        refused: Counter[str] = Counter()
-        count = len(touch)
-        landing = np.full((count, 3), np.nan)
-        good = np.ones(count, bool)
-        rows = np.flatnonzero(finger >= 0)
-        if not len(rows):
-            return start, touch, landing, refused
-        own = finger[rows]
-        where = np.where(
-            self._guided[rows],
-            -turning[rows] * rng.uniform(0.2, 1.0, len(rows)) * config.landing,
-            rng.uniform(-config.landing, config.landing, len(rows)),
-        )
-        height = rng.uniform(-config.height, config.height, len(rows))
-        direction = turned(self._neutral[own], where, frame.axis)
-        inverse_turn = inverse(quaternion[rows])
-        out = rotate(inverse_turn, direction)
-        up = rotate(inverse_turn, np.broadcast_to(frame.axis, direction.shape))
-        reach = 2.0 * model.shape.radius
-        begin = height[:, None] * up + reach * out
-        distance, outward = model.shape.ray(begin, -out)
-        hit = np.isfinite(distance) & (distance < reach)
-        local = begin - np.where(hit, distance, 0.0)[:, None] * out
-        landing[rows] = np.where(hit[:, None], local, np.nan)
-        radius = model.geometry.tips.radius[own]
-        place = rotate(quaternion[rows], local + radius[:, None] * outward) + position[rows]
+        """Put fingers down elsewhere, where the others hold and the way there is no matter.
 
-        others = touch[rows].copy()
-        every = np.arange(len(rows))
-        others[every, own] = False
-        holds = hit & model.closed(point[rows], normal[rows], others, position[rows])
-        refused["closure"] = int((~holds).sum())
-        ask = np.flatnonzero(holds)
-        good[rows] = False
-        q, poses, tip = start.q.copy(), start.poses, start.tip.copy()
-        touch = touch.copy()
-        if len(ask):
-            wanted = np.zeros((len(ask), touch.shape[1]), bool)
-            wanted[np.arange(len(ask)), own[ask]] = True
-            goal = np.where(wanted[..., None], place[ask][:, None], start.tip[rows[ask]])
-            found = model.reach(start.q[rows[ask]], goal, wanted)
-            now = others[ask] | wanted
-            ok = found.good.copy()
-            refused["reach"] = int((~ok).sum())
-            at = rows[ask]
-            clear = np.zeros(len(ask), bool)
-            some = np.flatnonzero(ok)
-            if len(some):
-                clear[some] = model.clear(
-                    Reached(found.q[some], *_rows(found, some)), now[some],
-                    position[at[some]], quaternion[at[some]],
-                )  # fmt: skip
-            refused["clearance"] = int((ok & ~clear).sum())
-            good[at] = ok & clear
-            keep = np.flatnonzero(ok & clear)
-            q[at[keep]], tip[at[keep]], touch[at[keep]] = found.q[keep], found.tip[keep], now[keep]
-            for part, new in zip(poses, found.poses, strict=True):
-                part[at[keep]] = new[keep]
-        return Reached(q, poses, tip, good), touch, landing, refused
+        What is reached (``good``: a grasp, or nothing was to be moved), which fingers touch then,
+        and where they landed in the object's frame, ``(N, 3)``, NaN where none did.
+        """
+        model, refused = self._model, Counter[str]()
+        landing, good = np.full((len(finger), 3), np.nan), finger < 0
+        touch, reached = nodes.in_contact.copy(), start._replace(good=good)
+        rows = np.flatnonzero(~good)
+        position, quaternion = nodes.object_position, nodes.object_quaternion
+        hit, local, place = self._landings(nodes.take(rows), finger[rows], where[rows], rng)
+        others = touch[rows]
+        others[np.arange(len(rows)), finger[rows]] = False
+        point, normal = model.surface(start.tip[rows], position[rows], quaternion[rows])
+        holds = hit & model.closed(point, normal, others, position[rows])
+        refused["closure"] += int((~holds).sum())
+        rows, place, local, others = rows[holds], place[holds], local[holds], others[holds]
+        wanted = np.arange(touch.shape[1]) == finger[rows, None]
+        goal = np.where(wanted[..., None], place[:, None], start.tip[rows])
+        found = model.reach(start.q[rows], goal, wanted)
+        refused["reach"] += int((~found.good).sum())
+        rows, local = rows[found.good], local[found.good]
+        now = (others | wanted)[found.good]
+        found = found.take(found.good)
+        clear = model.clear(found, now, position[rows], quaternion[rows])
+        refused["clearance"] += int((~clear).sum())
+        rows = rows[clear]
+        reached.put(rows, found.take(clear))
+        touch[rows], landing[rows] = now[clear], local[clear]
+        return reached, touch, landing, refused
+
+    def _landings(
+        self, nodes: Nodes, finger: NDArray[np.intp], where: Floats, rng: np.random.Generator
+    ) -> tuple[Bools, Floats, Floats]:
+        """Where rays from outside, towards the object's axis, meet its surface.
+
+        Whether they do and the fingertip fits there, the points in the object's frame, and the
+        places of the fingertips' balls that touch there, in the world's.
+        """
+        model, config, axis = self._model, self._config, self._problem.frame.axis
+        into = inverse(nodes.object_quaternion)
+        out = rotate(into, turned(self._neutral[finger], where, axis))
+        up = rotate(into, np.broadcast_to(axis, out.shape))
+        height = rng.uniform(-config.height, config.height, (len(finger), 1))
+        begin = height * up + 2.0 * model.shape.radius * out
+        distance, outward = model.shape.ray(begin, -out)
+        hit: Bools = np.asarray(distance < 2.0 * model.shape.radius)
+        local = begin - np.where(hit, distance, 0.0)[:, None] * out
+        radius = model.geometry.tips.radius[finger]
+        ball = local + radius[:, None] * outward
+        # in a corner the ball would sink into the other side
+        hit &= model.shape.distance(ball) > radius - _SUNK
+        place = rotate(nodes.object_quaternion, ball) + nodes.object_position
+        return hit, local, place
 
     def _move(
         self, start: Reached, touch: Bools, position: Floats, quaternion: Floats, towards: Floats
@@ -230,26 +215,20 @@ class _KinematicExpander:
         scale = np.minimum(scale, config.shift / np.maximum(shift, 1e-9)) / config.substeps
         twist, free = twist * scale[:, None], free * scale[:, None]
         inward = rotate(inverse(quaternion)[:, None], start.tip - position[:, None])
-        q, tip, poses = start.q.copy(), start.tip.copy(), start.poses
-        total = np.zeros_like(twist)
-        going = np.arange(len(q))
+        reached, total = start, np.zeros_like(twist)
+        going = np.arange(len(twist))
         position, quaternion = position.copy(), quaternion.copy()
         for _ in range(config.substeps):
-            if not len(going):
-                break
             ahead = position[going] + twist[going, :3]
-            turned_by = _quaternion(twist[going, 3:])
-            facing = multiply(turned_by, quaternion[going])
+            facing = multiply(_quaternion(twist[going, 3:]), quaternion[going])
             goal = rotate(facing[:, None], inward[going]) + ahead[:, None]
-            found = model.reach(q[going] + free[going], goal, touch[going])
+            found = model.reach(reached.q[going] + free[going], goal, touch[going])
             ok = found.good & model.clear(found, touch[going], ahead, facing)
-            keep, going = np.flatnonzero(ok), going[ok]
-            q[going], tip[going] = found.q[keep], found.tip[keep]
-            for part, new in zip(poses, found.poses, strict=True):
-                part[going] = new[keep]
-            position[going], quaternion[going] = ahead[keep], facing[keep]
+            going = going[ok]
+            reached.put(going, found.take(ok))
+            position[going], quaternion[going] = ahead[ok], facing[ok]
             total[going] += twist[going]
-        return Reached(q, poses, tip, np.ones(len(q), bool)), total, position, quaternion
+        return reached, total, position, quaternion
 
     def _projected(
         self, start: Reached, touch: Bools, position: Floats, towards: Floats
@@ -290,49 +269,46 @@ class _KinematicExpander:
         into[:d, :d], into[d:, d:] = np.eye(d), basis
         into = into / weight
         scaled = (constraint.reshape(count, 3 * m, d + 6)) @ into
-        gram = scaled @ np.swapaxes(scaled, 1, 2)
-        gram += 1e-9 * np.eye(3 * m) * np.maximum(np.trace(gram, axis1=1, axis2=2), 1e-9)[:, None, None]
-        violation = scaled @ towards[..., None]
-        kept = towards - (np.swapaxes(scaled, 1, 2) @ np.linalg.solve(gram, violation))[..., 0]
+        kept = projected(scaled, towards)
         motion = kept @ into.T
         joints = np.clip(motion[:, :d], -0.5, 0.5)
         held = (touch @ model.hand.moves.astype(int)) > 0
         return motion[:, d:], np.where(held, 0.0, joints)
 
-    def _nodes(
+    def _made(
         self,
         parents: Nodes,
         done: Reached,
-        keep: NDArray[np.intp],
         touch: Bools,
         position: Floats,
         quaternion: Floats,
         twist: Floats,
-        finger: NDArray[np.intp],
+        switched: Bools,
     ) -> Nodes:
-        model, frame = self._model, self._problem.frame
-        some = Reached(done.q[keep], *_rows(done, keep))
-        point, normal = model.surface(some.tip, position, quaternion)
-        count, d = some.q.shape
+        point, normal = self._model.surface(done.tip, position, quaternion)
         turn = np.linalg.norm(twist[:, 3:], axis=1)
-        seconds = np.maximum(turn / _TURNING_SPEED, np.where(finger >= 0, _SWITCH_TIME, 0.0))
+        seconds = np.maximum(turn / _TURNING_SPEED, np.where(switched, _SWITCH_TIME, 0.0))
         return Nodes(
-            q=some.q,
-            q_target=model.pressed(some, point, normal, touch, self._config.force),
+            q=done.q,
+            q_target=self._model.pressed(done, point, normal, touch, self._config.force),
             object_position=position,
             object_quaternion=quaternion,
-            joint_velocity=np.zeros((count, d)),
-            object_velocity=np.zeros((count, 6)),
+            joint_velocity=np.zeros_like(done.q),
+            object_velocity=np.zeros((len(done.q), 6)),
             in_contact=touch,
-            rotation=frame.rotation(quaternion, parents.rotation),
+            rotation=self._problem.frame.rotation(quaternion, parents.rotation),
             cost=parents.cost + seconds,
         )
 
 
-def _rows(reached: Reached, rows: NDArray[np.intp]) -> tuple:
-    """Poses, tips and marks of some rows."""
-    poses = type(reached.poses)(*(part[rows] for part in reached.poses))
-    return poses, reached.tip[rows], reached.good[rows]
+def projected(constraint: Floats, wanted: Floats) -> Floats:
+    """(I - N^+ N) x: what constraints ``(N, c, k)`` let pass of motions ``wanted`` ``(N, k)``."""
+    transposed = np.swapaxes(constraint, 1, 2)
+    gram = constraint @ transposed
+    size = np.maximum(np.trace(gram, axis1=1, axis2=2), 1e-9)
+    gram = gram + 1e-9 * size[:, None, None] * np.eye(gram.shape[1])
+    violation = np.linalg.solve(gram, constraint @ wanted[..., None])
+    return wanted - (transposed @ violation)[..., 0]
 
 
 def _quaternion(vector: Floats) -> Floats:

@@ -55,9 +55,7 @@ class LinkPoses(NamedTuple):
     def centres(self, balls: Balls) -> Floats:
         """Where balls are, ``(N, K, 3)`` [m]."""
         moved = (self.rotation[:, balls.link] @ balls.centre[..., None])[..., 0]
-        return np.where(
-            balls.link[:, None] < 0, balls.centre, self.position[:, balls.link] + moved
-        )
+        return np.where(balls.link[:, None] < 0, balls.centre, self.position[:, balls.link] + moved)
 
 
 class HandGeometry:
@@ -67,6 +65,7 @@ class HandGeometry:
         tips: the ball that each fingertip touches with, m of them.
         links: balls that cover the links below the fingertips.
         chain: whether each moving link moves each fingertip, ``(m, L)``.
+        own: which entries of `HandModel.finger_joints` are joints and no filling, ``(m, n)``.
         depth: how many moving links each link has between it and the world, ``(L,)``.
 
     Raises:
@@ -133,10 +132,7 @@ class HandGeometry:
         # the link of each of the finger's joints, as `HandModel.finger_joints` orders them
         where = {int(column): link for link, column in enumerate(self._columns)}
         self._finger_links = np.vectorize(where.__getitem__)(hand.finger_joints)
-        own = np.zeros(hand.finger_joints.shape, bool)
-        for finger, count in enumerate(hand.moves.sum(axis=1)):
-            own[finger, : int(count)] = True
-        self._own = own
+        self.own: Bools = np.arange(hand.finger_joints.shape[1]) < hand.moves.sum(axis=1)[:, None]
 
     def poses(self, q: Floats) -> LinkPoses:
         """The links at joint positions ``(N, d)`` [rad]."""
@@ -179,7 +175,7 @@ class HandGeometry:
             axis=-1,
         )
         slides = self._slides[self._finger_links][..., None]
-        columns = np.where(slides, axis, turning) * self._own[..., None]
+        columns = np.where(slides, axis, turning) * self.own[..., None]
         return np.swapaxes(columns, -1, -2)
 
     def _find_tips(self) -> Balls:

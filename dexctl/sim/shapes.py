@@ -196,6 +196,31 @@ class _Hull:
 
 
 @dataclass(frozen=True)
+class _Box(_Hull):
+    """A hull that is a box along the axes: its distance and normal in closed form."""
+
+    @cached_property
+    def _half(self) -> Floats:
+        return self.vertices.max(axis=0)
+
+    def bound(self, points: Floats) -> Floats:
+        beyond = np.abs(points) - self._half
+        return np.maximum(np.maximum(beyond[..., 0], beyond[..., 1]), beyond[..., 2])
+
+    def closest(self, points: Floats) -> tuple[Floats, Floats]:
+        beyond = np.abs(points) - self._half
+        side = np.where(points < 0, -1.0, 1.0)
+        facing = side * (np.arange(3) == beyond.argmax(axis=-1)[:, None])
+        outside = np.maximum(beyond, 0.0)
+        away = np.sqrt((outside * outside).sum(-1))
+        inside = np.minimum(self.bound(points), 0.0)
+        return away + inside, _unit(side * outside, facing)
+
+    def scaled(self, factor: float) -> _Box:
+        return _Box(self.vertices * factor)
+
+
+@dataclass(frozen=True)
 class Shape:
     """What an object is made of: convex parts, each with its centre in the object's frame."""
 
@@ -304,7 +329,8 @@ def _part(model: mujoco.MjModel, geom: int) -> tuple[_Part, Floats]:
         return _Cylinder(float(size[0]), float(size[1])), centre
     if kind == kinds.mjGEOM_BOX:
         corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return _Hull((corners * size) @ rotation.T), centre
+        upright = np.allclose(rotation, np.eye(3))
+        return (_Box if upright else _Hull)((corners * size) @ rotation.T), centre
     if kind == kinds.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
         first = int(model.mesh_vertadr[mesh])

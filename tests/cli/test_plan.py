@@ -66,6 +66,16 @@ def test_ctrl_c_leaves_a_tree_that_loads(
     assert len(Tree.load(tmp_path / "tree.npz")) > 1
 
 
+def test_a_tree_without_physics_is_checked_in_simulation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--expand", "kinematic", "--object", "cylinder", "--nodes", "200", "--kinematic.batch"]
+    assert main(["plan", *words, "32", "--threads", "1", "--out", str(tmp_path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["physics_steps"] == 0 and found["nodes"] >= 200
+    assert found["holds"]["of"] >= 200 and found["holds"]["share"] > 0.9
+
+
 def test_episodes_start_from_a_tree(folder: Path) -> None:
     tree = Tree.load(folder / "tree.npz")
     config = SceneConfig(
@@ -80,7 +90,7 @@ def test_episodes_start_from_a_tree(folder: Path) -> None:
 
 def test_what_plan_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words, why in (
-        (["--expand", "magic"], "unknown --expand 'magic'; known: controllers, random"),
+        (["--expand", "magic"], "unknown --expand 'magic'; known: kinematic, controllers, random"),
         (["--object", "cube", "sphere"], "this command takes one object"),
         (["--nodes", "-1"], "nodes is -1; expected a number above 0"),
         (["--until-rotation", "30"], "until_rotation is 30"),

@@ -1,0 +1,56 @@
+"""Which nodes of a tree hold in simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dexctl.exceptions import InvalidInput
+from dexctl.planning.nodes import put
+from dexctl.planning.stability import Stability
+from dexctl.planning.tree import Tree
+from dexctl.sim import BatchSimulator, Scene
+from dexctl.state import Bools
+
+
+def holding(
+    scene: Scene,
+    tree: Tree,
+    index: ArrayLike | None = None,
+    *,
+    stability: Stability | None = None,
+    batch: int = 128,
+    threads: int | None = None,
+) -> Bools:
+    """Put nodes into the simulator and hold their set-points, ``(K,)``.
+
+    For trees that were grown without physics; those of simulated expansions have been checked.
+
+    Args:
+        scene: that of the tree.
+        tree: whose nodes.
+        index: numbers of nodes ``(K,)``, or a mask; None: all.
+        stability: None: the default check, for 2 s.
+        batch: how many at a time.
+        threads: of the physics; None: every core.
+
+    Raises:
+        InvalidInput: another hand, object or gravity than the tree's.
+    """
+    header, joints = tree.header, tuple(scene.hand.joint_names)
+    same = header.joint_names == joints and header.object == scene.object
+    if not (same and np.allclose(header.gravity, scene.gravity)):
+        raise InvalidInput(f"the tree is {tree!r} under {header.gravity}; the scene is {scene!r}")
+    check = stability or replace(Stability(), seconds=2.0)
+    nodes = tree.nodes if index is None else tree.nodes.take(index)
+    found = np.zeros(len(nodes), bool)
+    with BatchSimulator(scene, batch, disturbance=0.0, threads=threads) as sim:
+        for first in range(0, len(nodes), batch):
+            rows = np.arange(first, min(first + batch, len(nodes)))
+            mask = np.arange(batch) < len(rows)
+            # the last batch is filled up with nodes that are not looked at
+            put(sim, nodes.take(np.resize(rows, batch)))
+            found[rows] = check.check(sim, mask).stable[: len(rows)]
+    return found
