@@ -89,7 +89,11 @@ _OWN = (
         "dexctl.cli.plan:COMMANDS",
         "Grow a tree of grasps that turn an object; `plan show` films and draws one.",
     ),
-    CommandEntry("hands", "dexctl.cli.hands:Hands", "List the hands that are known by name."),
+    CommandEntry(
+        "hands",
+        "dexctl.cli.hands:COMMANDS",
+        "List the hands that are known; `hands add` takes a new one, `hands check` tries one.",
+    ),
 )
 
 

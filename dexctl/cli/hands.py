@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from dexctl import hands
+from dexctl.cli.hands_add import Add
+from dexctl.cli.hands_check import Check
 from dexctl.cli.parsing import Switch
 from dexctl.hand_config import MENAGERIE
 
@@ -77,3 +79,6 @@ def _count_joints(path: Path) -> int | None:
     if root.find(".//include") is not None:
         return None
     return sum(len(list(world.iter("joint"))) for world in root.findall("worldbody"))
+
+
+COMMANDS = {"": Hands, "list": Hands, "add": Add, "check": Check}

@@ -1,0 +1,211 @@
+"""``dexctl hands add``: the toml of a hand, proposed from its file."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+from dexctl.cli.checks import make_folder
+from dexctl.cli.output import facts, notes, print_json, results
+from dexctl.cli.parsing import Switch
+from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
+from dexctl.hand_config import HandConfig, ServoConfig
+
+if TYPE_CHECKING:
+    from dexctl.hand import HandModel
+    from dexctl.sim import Scene
+
+OBJECTS = ("cube", "sphere")
+"""What a hand is to hold where nobody says: the first that it holds palm up and palm down."""
+
+
+@dataclass(kw_only=True)
+class Add:
+    """Write the toml of a hand: fingertips, palm, gains and a grasp, guessed from its file.
+
+    Every guess stands in the toml with its reason. Pictures of the hand, its fingertips and the
+    grasp, and a page with all of it, are drawn beside the toml; look at them. Exits with 1 where
+    no grasp was found; the toml is written all the same.
+    """
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """MJCF or URDF file of the hand."""
+    out: Path | None = None
+    """The toml; none: named after the file, in the current folder."""
+    fingertips: tuple[str, ...] = ()
+    """Bodies or links that are the fingertips, in the order of the fingers; none: found."""
+    base: str | None = None
+    """Only what hangs on this body; for files of several hands, or of a hand on an arm."""
+    object: str | None = None
+    """Name of the object that it is to hold; none: a cube, or a sphere where that does not hold."""
+    object_size: float | None = None
+    """Width of that object [m]; none: found."""
+    seed: int = 0
+    """Seed of the search for the grasp."""
+    grasp: bool = True
+    """Whether to search a grasp."""
+    replace: Switch = False
+    """Replace a toml that is there already."""
+    json: Switch = False
+    """Print one JSON object instead of the table."""
+
+    def run(self) -> int:
+        from dexctl.hands.proposals import propose
+
+        out = (self.out or Path(f"{self.file.stem}.toml")).expanduser()
+        if out.suffix != ".toml":
+            raise InvalidInput(f"--out is {str(out)!r}; expected the name of a .toml file")
+        if out.exists() and not self.replace:
+            raise InvalidInput(f"{out} is there already; give another --out, or --replace")
+        make_folder(out.parent)
+        if self.object_size is not None and not (
+            np.isfinite(self.object_size) and self.object_size > 0
+        ):
+            raise InvalidInput(f"--object-size is {self.object_size}; expected a width in metres")
+        if self.object is not None:
+            from dexctl.sim.scene_config import SceneConfig
+
+            SceneConfig(object=(self.object,)).check_objects()
+        proposal = propose(self.file, self.fingertips, self.base)
+        reasons = {"": self._head(), **proposal.reasons}
+        config = replace(proposal.config, name=out.stem)
+        hand = config.build()
+        config.write(out, reasons)  # what is known so far, whatever comes of the grasp
+        console = notes()
+        console.print(f"dexctl: {hand.n_fingers} fingers, {hand.nq} joints", markup=False)
+        failure, scene = None, None
+        if self.grasp:
+            try:
+                config, scene = self._with_grasp(hand, config, reasons)
+            except SimulationError as error:
+                failure = error
+                console.print(f"dexctl: no grasp: {error}", markup=False)
+                scene = getattr(error, "scene", None)
+            config.write(out, reasons)
+        pictures = _draw(out, scene, config, reasons, failure)
+        rows = list(guesses(config, reasons))
+        found = {
+            "command": "hands add",
+            "toml": str(out),
+            "pictures": pictures,
+            "fingertips": list(config.fingertips),
+            "guesses": [{"setting": s, "value": v, "reason": r} for s, v, r in rows],
+            "grasp": None if failure or not self.grasp else config.object.shape,
+            "failure": None if failure is None else str(failure),
+        }
+        if self.json:
+            print_json(found)
+        else:
+            results().print(facts((f"{s}: {v}", r) for s, v, r in rows))
+            for picture in pictures:
+                console.print(f"look at {picture}", markup=False)
+            word = shlex.quote(str(out))
+            console.print(f"then: dexctl hands check {word}; dexctl rotate --hand {word}")
+        return 0 if failure is None else 1
+
+    def _head(self) -> str:
+        return (
+            f"Proposed by `dexctl hands add {self.file.name}`: everything here is a guess from the "
+            "file; the comments say why. Look at the pictures, and mend what is wrong."
+        )
+
+    def _with_grasp(
+        self, hand: HandModel, config: HandConfig, reasons: dict[str, str]
+    ) -> tuple[HandConfig, Scene]:
+        """The configuration with a grasp and the gains that it was found with."""
+        from dexctl.sim import Scene
+
+        console, failure, best = notes(), None, None
+        for name in (self.object,) if self.object else OBJECTS:
+            console.print(f"dexctl: searching how to hold a {name}", markup=False)
+            try:
+                found = Scene.suggest_grasp(
+                    hand, name, object_size=self.object_size, seed=self.seed, count=1
+                )[0]
+            except SimulationError as error:
+                failure = failure or error
+                continue
+            if best is None or (found.held_up and found.held_down):
+                best = found
+            if found.held_up and found.held_down:
+                break
+        if best is None:
+            assert failure is not None
+            raise failure
+        console.print(f"dexctl: {best.note}", markup=False)
+        config = best.applied(config, hand.joint_names)
+        reasons["object"] = f"Found by search and held in the simulator: {best.note}."
+        reasons["postures.open"] = "From here the fingers close on the object."
+        reasons["postures.grasp"] = "The fingertips about to touch the object."
+        scene = Scene.build(config.build(), best.object)
+        if any("position servos added" in note for note in scene.notes):
+            config = replace(config, servos=_servos(scene, config.servos))
+            reasons["servos"] = "The file has no position servos: " + "; ".join(scene.notes)
+            scene = Scene.build(config.build(), best.object)
+        return config, scene
+
+
+def _servos(scene: Scene, before: ServoConfig) -> ServoConfig:
+    names = scene.hand.joint_names
+    gear = scene.ctrl_per_radian
+    damping = -scene.model.actuator_biasprm[scene.actuators, 2] * gear**2
+
+    def table(values: np.ndarray) -> dict[str, float]:
+        return {name: float(f"{one:.3g}") for name, one in zip(names, values, strict=True)}
+
+    return replace(before, stiffness=table(scene.stiffness), damping=table(damping))
+
+
+def guesses(config: HandConfig, reasons: dict[str, str]) -> Iterator[tuple[str, str, str]]:
+    """Setting, value and reason of everything that was guessed."""
+    from dexctl.settings import get, to_plain
+
+    for path, reason in reasons.items():
+        if path:
+            value: Any = get(config, path)
+            plain = to_plain(value) if hasattr(value, "__dataclass_fields__") else value
+            yield path, _short(plain), reason.replace("\n", " ")
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        inner = {k: v for k, v in value.items() if v not in (None, {}, "")}
+        text = ", ".join(
+            str(k) if isinstance(v, dict | list | tuple) and len(inner) > 3 else f"{k} {_short(v)}"
+            for k, v in inner.items()
+        )
+    elif isinstance(value, list | tuple):
+        text = "(" + ", ".join(f"{one:.4g}" for one in value) + ")"
+    else:
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return text if len(text) < 160 else text[:157] + "..."
+
+
+def _draw(
+    out: Path,
+    scene: Scene | None,
+    config: HandConfig,
+    reasons: dict[str, str],
+    failure: DexctlError | None,
+) -> list[str]:
+    """Pictures and page beside the toml; what could not be drawn is said."""
+    from dexctl.cli.hand_page import hand_page
+
+    try:
+        return hand_page(
+            out.with_suffix(""),
+            scene,
+            title=config.name,
+            source=str(config.description),
+            guesses=list(guesses(config, reasons)),
+            failure=failure,
+        )
+    except DexctlError as error:
+        notes().print(f"dexctl: no pictures: {error}", markup=False)
+        return []
