@@ -45,10 +45,12 @@ def hand_pictures(
     tips = scene.hand.fingertip_positions(q)
     middle = _middle(model, data, tips)
     size = float(np.linalg.norm(np.ptp(tips, axis=0))) + 0.1
+    above = middle + np.array([0.0, 0.0, 0.04])  # out of the hand, where the palm looks
     camera, option = mujoco.MjvCamera(), mujoco.MjvOption()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat, camera.distance = middle, 2.2 * size
+    camera.lookat, camera.distance = middle, 1.8 * size
     offscreen = Offscreen(model, width, height)
+    offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
     found = {}
     try:
         for name, (azimuth, elevation) in VIEWS.items():
@@ -59,7 +61,8 @@ def hand_pictures(
             for tip in tips:
                 _ball(offscreen.scene, tip)
             for direction, colour in (((0, 0, 1), _AXIS), ((1, 0, 0), _UP)):
-                _arrow(offscreen.scene, middle, middle + 0.35 * size * np.array(direction), colour)
+                end = above + 0.35 * size * np.array(direction)
+                _arrow(offscreen.scene, above, end, colour)
             found[name] = offscreen.draw()
     finally:
         offscreen.close()

@@ -1,0 +1,93 @@
+"""`dexctl hands add` and `dexctl hands check`: what they write, say and refuse."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl.cli import main
+from dexctl.cli.hand_checks import check_hand
+from dexctl.hand_config import HandConfig, HeldObject
+
+RING = Path(__file__).resolve().parents[1] / "hands" / "ring.urdf"
+
+
+def test_add_without_a_grasp(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["hands", "add", str(RING), "--out", "mine.toml", "--no-grasp", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["fingertips"] == [f"f{i}_tip" for i in range(1, 6)]
+    config = HandConfig.read("mine.toml")
+    assert config.palm.axis == (1.0, 0.0, 0.0) and config.name == "mine"
+    assert "# Proposed by `dexctl hands add ring.urdf`" in Path("mine.toml").read_text()
+    # the hand in its own frame is dex5, but for the tips, which stand for another point
+    hand = dexctl.HandModel.load("mine.toml")
+    tips = hand.fingertip_positions(np.zeros(15))
+    assert tips[:, 2].min() > 0.15 and np.ptp(tips[:, 2]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("none.urdf", 1, "none.urdf: no such file"),
+        ("RING --out here.txt", 2, "--out is 'here.txt'; expected the name of a .toml"),
+        ("RING --out there.toml", 2, "there.toml is there already; give another --out, or --repl"),
+        ("RING --object anvil", 2, "unknown object 'anvil'"),
+        ("RING --object-size -1", 2, "--object-size is -1"),
+        ("RING --base arm", 2, "unknown body 'arm'; known: mount, palm"),
+    ],
+)
+def test_what_add_refuses(
+    words: str,
+    code: int,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("there.toml").write_text("mine")
+    assert main(["hands", "add", *words.replace("RING", str(RING)).split()]) == code
+    lines = capsys.readouterr().err.splitlines()
+    assert said in lines[-1]
+    assert Path("there.toml").read_text() == "mine"
+
+
+def test_check_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "hands check dex5 --object sphere --seconds 1 --trials 2 --json"
+    assert main(words.split()) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["sha256"] == dexctl.hands.load("dex5").digest
+    assert {one["name"]: one["good"] for one in found["checks"]} == {
+        "joint limits": True, "Jacobians": True, "simulator": True, "fingertips": True,
+        "touch geometry": True, "reach": True, "holds, palm up": True, "holds, palm down": True,
+    }  # fmt: skip
+
+
+def test_checks_that_fail(dex5: dexctl.HandModel, capsys: pytest.CaptureFixture[str]) -> None:
+    far = dict.fromkeys(dex5.fingertip_names, (0.0, 0.0, 0.1))
+    away = replace(dex5.config, fingertips=far).build()
+    found = {one.name: one for one in check_hand(away, seconds=0.1, trials=1)}
+    assert not found["touch geometry"].good
+    assert "f1_tip by" in found["touch geometry"].said
+    held = HeldObject(centre=(0.0, 0.0, 0.6), size=0.1)
+    high = replace(dex5.config, object=held).build()
+    found = {one.name: one for one in check_hand(high, seconds=0.1, trials=1)}
+    assert not found["reach"].good and "f1_tip by" in found["reach"].said
+    assert not found["holds, palm up"].good
+    assert main(["hands", "check", "nobody"]) == 2
+    assert "unknown hand 'nobody'; known: dex5" in capsys.readouterr().err
+
+
+def test_the_list_still_has_its_own_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hands", "list", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert main(["hands", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == listed
