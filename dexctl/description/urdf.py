@@ -139,8 +139,9 @@ class _UrdfJoint:
         kinds = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
         joint = Joint(self.name, kinds.get(self.type, self.type), axis / length)
         if self.element.find("limit") is not None:
-            joint.effort = self._number("limit", "effort", np.inf)
-            joint.velocity = self._number("limit", "velocity", np.inf)
+            # many files have a zero here for what nobody knew; no motor has
+            joint.effort = self._number("limit", "effort", np.inf) or np.inf
+            joint.velocity = self._number("limit", "velocity", np.inf) or np.inf
             if self.type != "continuous":
                 joint.lower = self._number("limit", "lower", 0.0)
                 joint.upper = self._number("limit", "upper", 0.0)

@@ -278,7 +278,14 @@ def _solid(body: mujoco.MjsBody) -> bool:
 
 def _couple(spec: mujoco.MjSpec, hand: HandModel, notes: list[str]) -> None:
     """Have every follower follow, by one equality constraint that says what `HandModel` says."""
+    if not hand.couplings:
+        return
     joint_equality = mujoco.mjtEq.mjEQ_JOINT
+    model = lean_model(spec, hand)  # a spec has angles as its file has them, in degrees or not
+
+    def reference(joint: str) -> float:
+        return float(model.qpos0[model.joint(joint).qposadr[0]])
+
     for tendon in spec.tendons:  # within one coupling its length is decided already
         names = [w.target.name for w in tendon.path if w.type == mujoco.mjtWrap.mjWRAP_JOINT]
         masters = {hand.couplings[n].master if n in hand.couplings else n for n in names}
@@ -288,11 +295,10 @@ def _couple(spec: mujoco.MjSpec, hand: HandModel, notes: list[str]) -> None:
         if equality.type == joint_equality and equality.name1 in hand.couplings:
             spec.delete(equality)
     for follower, mimic in hand.couplings.items():
-        reference = float(spec.joint(follower).ref)
         data = np.zeros(len(mujoco.MjSpec().add_equality().data))
-        data[0] = mimic.offset - reference
+        data[0] = mimic.offset - reference(follower)
         if mimic.master is not None:
-            data[0] += mimic.scale * float(spec.joint(mimic.master).ref)
+            data[0] += mimic.scale * reference(mimic.master)
             data[1] = mimic.scale
         spec.add_equality(
             name=f"{follower} follows",

@@ -20,6 +20,7 @@ PRESSING = 2.0
 """Fingertip force [N] that a joint holds with `BEHIND` between set-point and joint."""
 BEHIND = 0.1
 """[rad]"""
+_LEVER = 0.1  # what a turning joint does in [rad], a sliding one does in [rad] times this [m]
 _STUCK = 0.1  # friction of a joint is left out where it keeps the joint this far back [rad]
 _SLUGGISH = 0.2  # damping, where it makes the joint this slow [s]
 
@@ -46,7 +47,8 @@ def proposed_gains(
 
     The stiffness is the largest of three: the joint's inertia in the middle of its range (mass
     matrix, armature included) at `BANDWIDTH`; the torque of the finger's weight over `SAG`; the
-    torque of `PRESSING` at the fingertip over `BEHIND`. Damping is critical, what the joint has of
+    torque of `PRESSING` at the fingertip over `BEHIND` (of a sliding joint in metres, a tenth of
+    these). Damping is critical, what the joint has of
     its own taken off. A stiff joint of a light finger would ring faster than it can be simulated,
     so its inertia is filled up with armature.
 
@@ -73,9 +75,10 @@ def proposed_gains(
     tips = hand.fingertip_positions(q)
     lever = np.linalg.norm(hand.contact_jacobian(q, tips), axis=1).max(axis=0)
     fastest = (2 * np.pi * BANDWIDTH) ** 2
-    wanted = np.max(
-        [inertia * fastest, np.linalg.norm(weight, axis=0) / SAG, PRESSING * lever / BEHIND], axis=0
-    )
+    kinds = [int(model.joint(name).type[0]) for name in hand.joint_names]
+    unit = np.where(np.array(kinds) == int(mujoco.mjtJoint.mjJNT_SLIDE), _LEVER, 1.0)
+    held = [np.linalg.norm(weight, axis=0) / (SAG * unit), PRESSING * lever / (BEHIND * unit)]
+    wanted = np.max([inertia * fastest, *held], axis=0)
     k = np.where(np.isnan(stiffness), wanted, stiffness)
     armature = np.maximum(k / fastest - inertia, 0.0)
     columns = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]

@@ -29,6 +29,7 @@ MENDED_SHARE = 0.5
 _DENSITY = 1000.0  # of links without a mass [kg/m^3]
 _LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-8  # of a link that moves and has neither [kg], [kg m^2]
 _MESHES = (".obj", ".stl", ".msh")  # what MuJoCo reads
+_RANGE = 1e-6  # half the range of a joint whose limits are equal [rad], [m]
 _VISUAL_GROUP = 2
 _POSTURES = 20  # in which links must overlap to be excluded
 
@@ -112,7 +113,8 @@ class _Reader:
                 axis=joint.axis,
             )
             if np.isfinite([joint.lower, joint.upper]).all():
-                added.range, added.limited = [joint.lower, joint.upper], 1
+                least = _RANGE if joint.lower == joint.upper else 0.0  # a joint that is held
+                added.range, added.limited = [joint.lower - least, joint.upper + least], 1
             damping, friction = self._dynamics(joint.name)
             added.damping = [damping, 0.0, 0.0] if np.ndim(added.damping) else damping
             added.frictionloss = friction

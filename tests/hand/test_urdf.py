@@ -195,3 +195,9 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_a_fingertip_on_the_base_is_an_error(hand: HandModel) -> None:
     with pytest.raises(HandModelError, match="no joint moves the fingertip 'forearm'"):
         HandModel.from_urdf(hand.path, ["a_tip", "forearm"])
+
+
+def test_a_zero_where_nobody_knew_the_limit_is_none(tmp_path: Path) -> None:
+    text = JOINTS.replace('effort="7" velocity="2"', 'effort="0" velocity="0.0"')
+    hand = HandModel.from_urdf(urdf(tmp_path / "hand.urdf", text), ["a_tip", "b_tip"])
+    assert hand.effort[0] == hand.velocity[0] == np.inf

@@ -203,6 +203,51 @@ def test_a_proposal_of_one_link_is_what_hand_and_pencil_give(tmp_path: Path) -> 
     assert path_of_q[40] > 0.49  # 0.2 s
 
 
+def test_followers_in_a_file_of_degrees_with_references(tmp_path: Path) -> None:
+    path = tmp_path / "degrees.xml"
+    path.write_text(
+        '<mujoco><compiler angle="degree" autolimits="true"/><worldbody><body name="palm">'
+        '<body><joint name="a" ref="30" range="-60 90" axis="0 1 0"/>'
+        '<geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.05"/>'
+        '<body name="tip" pos="0 0 0.06"><joint name="b" ref="-20" range="-90 90" axis="0 1 0"/>'
+        '<geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.05"/></body></body></body>'
+        '</worldbody><equality><joint joint1="b" joint2="a" polycoef="0.1 0.7 0 0 0"/></equality>'
+        "</mujoco>"
+    )
+    hand = HandModel.from_mjcf(path, {"tip": (0.0, 0.0, 0.05)})
+    spec, _ = hand_spec(hand)
+    assert tip_errors(hand, spec) < 1e-12
+    model = lean_model(spec, hand)
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 1.0
+    mujoco.mj_step(model, data, 300)
+    a, b = (float(data.joint(name).qpos[0]) for name in "ab")
+    assert a == pytest.approx(1.0, abs=0.05)
+    assert b - np.deg2rad(-20) == pytest.approx(0.1 + 0.7 * (a - np.deg2rad(30)), abs=1e-3)
+
+
+def test_a_sliding_joint_gets_a_servo_for_lengths(urdf_hand: Hands) -> None:
+    path = urdf_hand(1).path
+    text = path.read_text().replace('"f1_roll" type="revolute"', '"f1_roll" type="prismatic"')
+    path.write_text(text.replace('"f1_flexion2" type="revolute"', '"f1_flexion2" type="fixed"'))
+    hand = HandModel.from_urdf(path, ["f1_tip"])
+    slide, turn = propose_servos(hand).stiffness
+    mass = 3 * 0.03 + 1000 * 4 / 3 * np.pi * 0.014**3
+    pressing = 2.0 / 0.01  # 2 N with 10 mm between set-point and joint
+    assert slide == pytest.approx(max(mass * (2 * np.pi * 8.0) ** 2, pressing))
+    assert turn < 10.0
+    scene = hand_spec(hand).spec
+    assert lean_model(scene, hand).nu == 2
+
+
+def test_a_joint_whose_limits_are_equal_is_held(urdf_hand: Hands) -> None:
+    path = urdf_hand(1).path
+    path.write_text(path.read_text().replace('lower="-0.7" upper="0.7"', 'lower="0.2" upper="0.2"'))
+    hand = HandModel.from_urdf(path, ["f1_tip"])
+    model = lean_model(hand_spec(hand).spec, hand)
+    np.testing.assert_allclose(model.joint("f1_roll").range, 0.2, atol=1e-5)
+
+
 def test_a_velocity_servo_beside_a_position_servo_stays_as_damping(changed_dex5: Hands) -> None:
     extra = '<velocity joint="f1_roll" kv="0.2" gear="2"/>'
     hand = changed_dex5(("</actuator>", extra + "</actuator>"))
