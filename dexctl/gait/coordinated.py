@@ -44,6 +44,9 @@ class CoordinatedGaitConfig:
     """The object stops before a finger is this far past where it was at the reset [rad]."""
     slow_down: float = 0.2
     """And slows down over the last so much before it [rad]."""
+    spacing: float = 0.03
+    """Fingers land at least this far, round the object, from the one behind them [m]: one that
+    comes down on its neighbour touches nothing else and pushes it off the object."""
     pause: float = 0.1
     """Between two switches of a hand [s]."""
     friction: float = 0.8
@@ -60,7 +63,14 @@ class CoordinatedGaitConfig:
         check_numbers(
             self,
             positive=("most_travel", "slow_down", "friction", "residual_limit"),
-            not_negative=("swing", "least_travel", "pause", "hold_force", "residual_weight"),
+            not_negative=(
+                "swing",
+                "least_travel",
+                "spacing",
+                "pause",
+                "hold_force",
+                "residual_weight",
+            ),
         )
         if not any(self.in_grasp.twist[3:]):
             raise InvalidInput(
@@ -291,9 +301,10 @@ class CoordinatedGait(Controller):
         ready = np.flatnonzero(~busy & (self._wait <= 0.5 * self.control_period))
         if not len(ready):
             return
+        landing = self._landings(angle[ready], flat[ready])
         choice = choose(
             grasps.of(ready),
-            angle[ready] + config.swing,
+            angle[ready] - landing,
             least_travel=config.least_travel,
             residual_weight=config.residual_weight,
             residual_limit=config.residual_limit,
@@ -306,8 +317,20 @@ class CoordinatedGait(Controller):
         begin = np.zeros(len(busy), bool)
         finger = np.zeros(len(busy), int)
         begin[ready], finger[ready] = choice.found, choice.finger
-        direction = turned(self._neutral[rows, finger], -config.swing, self.axis)
+        aim = np.zeros(len(busy))
+        aim[ready] = landing[np.arange(len(ready)), choice.finger]
+        direction = turned(self._neutral[rows, finger], aim, self.axis)
         radius = np.sqrt((flat[rows, finger] ** 2).sum(axis=-1))
         self.switch.begin(
             begin, finger, grasps.origin, landing_at(grasps.origin, direction, radius)
         )
+
+    def _landings(self, angle: Floats, flat: Floats) -> Floats:
+        """Where round the axis each finger of K hands would land, ``(K, m)`` [rad]."""
+        radius = np.sqrt((flat * flat).sum(axis=-1))
+        # how far behind each finger, against the rotation, each other one is
+        behind = azimuth(flat[:, None, :], flat[:, :, None], self.axis) % (2 * np.pi)
+        behind[:, *np.diag_indices(flat.shape[1])] = np.inf
+        nearest = behind.min(axis=2)
+        room = angle - nearest + self.config.spacing / np.maximum(radius, 1e-9)
+        return np.maximum(-self.config.swing, np.where(nearest < np.pi, room, -np.inf))

@@ -351,7 +351,6 @@ def in_grasp_step(
                 if yielding[e, i] > 0:
                     speed = -np.expm1(-yielding[e, i] * dt) / dt
                     for c in range(3):
-                        velocity[c] = 0.0
                         for j in range(counts[i]):
                             lead = q_target[e, joints[i, j]] - q[e, joints[i, j]]
                             velocity[c] -= speed * lead * jacobian[j, c]

@@ -80,13 +80,13 @@ class PlainStep:
         return StepResult(change, desired, residual, np.asarray(held), origin)
 
     def _yield(self, velocity: Floats, step: StepInput, jacobian: Floats) -> None:
-        """Where fingers yield, let the set-point go back to the finger instead, in place."""
+        """Where fingers yield, let the set-point go back to the finger besides, in place."""
         lead = (step.q_target - step.q)[:, self._hand.finger_joints][..., None, :]
         deflection = (lead @ jacobian)[..., 0, :]
         # exact over a control period of any length
         speed = -np.expm1(-step.yielding * self._dt) / self._dt
         where = (step.yielding > 0) & step.touch
-        np.copyto(velocity, -speed[..., None] * deflection, where=where[..., None])
+        velocity -= np.where(where, speed, 0.0)[..., None] * deflection
 
     def _closing(self, lever: Floats) -> Floats:
         """Velocity across the axis of rotation, towards the object's centre."""
