@@ -119,12 +119,17 @@ class HeldObject:
     """Width of the objects that suit the hand [m]."""
     shape: str | None = None
     """Name of the object that suits the hand best."""
+    reach: float | None = None
+    """How far round such an object each fingertip can go, to either side of where it holds, with
+    nothing but the fingertip touching [rad]; none: not known. Gaits swing no further."""
 
     def __post_init__(self) -> None:
         if self.centre is not None and not np.isfinite(self.centre).all():
             raise HandModelError(f"object.centre is {self.centre!r}; expected three finite numbers")
         if self.size is not None and not (np.isfinite(self.size) and self.size > 0):
             raise HandModelError(f"object.size is {self.size!r}; expected a finite number above 0")
+        if self.reach is not None and not (np.isfinite(self.reach) and self.reach > 0):
+            raise HandModelError(f"object.reach is {self.reach!r}; expected radians above 0")
 
 
 @dataclass(frozen=True, kw_only=True)

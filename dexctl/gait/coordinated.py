@@ -77,9 +77,36 @@ class CoordinatedGaitConfig:
                 f"in_grasp.twist is {self.in_grasp.twist}; a gait needs a rotation (last three)"
             )
 
+    @classmethod
+    def suiting(cls, hand: HandModel) -> CoordinatedGaitConfig:
+        """What suits a hand: these defaults where five fingers hold; less speed, force and swing
+        where four do, since three remain while one is lifted, and never further than
+        ``hand.config.object.reach``.
+        """
+        reach = hand.config.object.reach or np.inf
+        found = cls() if hand.n_fingers > 4 else cls(**_FEW)
+        return replace(
+            found,
+            swing=min(found.swing, reach),
+            most_travel=min(found.most_travel, 1.1 * reach),
+            least_travel=min(found.least_travel, 0.65 * reach),
+            slow_down=min(found.slow_down, 0.35 * reach),
+        )
+
     def about(self, axis: object) -> CoordinatedGaitConfig:
         """The same with the rotation about ``axis`` ``(3,)``, of any length, at the same speed."""
         return replace(self, in_grasp=self.in_grasp.about(axis))
+
+
+# measured on the Allegro and the LEAP hand (docs/what-helped.md)
+_FEW: dict[str, Any] = {
+    "in_grasp": InGraspManipulationConfig(
+        twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), grip_force=2.0, stability_gain=0.01
+    ),
+    "switch": GuardedSwitchConfig(unloaded_force=0.3, clearance=0.012),
+    "hold_force": 0.15,
+    "residual_limit": 0.9,
+}
 
 
 class CoordinatedGaitChanges(TypedDict, total=False):
@@ -91,6 +118,7 @@ class CoordinatedGaitChanges(TypedDict, total=False):
     least_travel: float
     most_travel: float
     slow_down: float
+    spacing: float
     pause: float
     friction: float
     hold_force: float
@@ -114,9 +142,9 @@ class CoordinatedGait(Controller):
     it (`ContactOdometry`), from the contacts' centroid at the reset on.
 
     Args:
-        hand: the hand. Five fingers gait well; with four, a `least_travel` beyond reach turns
-            the object as far as it goes without lifting one, and holds it there.
-        config: the settings; keyword arguments change single ones.
+        hand: the hand, of four fingers or more of which any but one can hold the object.
+        config: the settings; None: `CoordinatedGaitConfig.suiting` the hand. Keyword arguments
+            change single ones.
         control_period: [s].
         axis: about which the object is to be turned, ``(3,)``, at the speed of the settings; None
             keeps their axis.
@@ -132,6 +160,7 @@ class CoordinatedGait(Controller):
         **changes: Unpack[CoordinatedGaitChanges],
     ) -> None:
         super().__init__(hand, control_period=control_period)
+        config = CoordinatedGaitConfig.suiting(hand) if config is None else config
         self.config = with_changes(CoordinatedGaitConfig, config, changes, axis)
         self.in_grasp = InGraspManipulation(
             hand, self.config.in_grasp, control_period=control_period

@@ -33,7 +33,7 @@ class Share(NamedTuple):
         max_force: upper bound of each finger's force, as a fraction of the grip, ``(..., m)``.
         twist: object twist instead of the configured one, ``(..., 6)``.
         yielding: rate at which a finger's set-point goes back to where the finger is,
-            ``(..., m)`` [1/s]; where it is above zero it takes the place of force control.
+            ``(..., m)`` [1/s], beside force control.
     """
 
     released: Bools | None = None

@@ -105,8 +105,7 @@ class GuardedSwitch:
         self.start(count)
         fill("a guarded switch", self._arrays(), saved)
         for row, path in saved["paths"].items():
-            parts = check_names("a path", path, JointPath._fields)
-            self._paths[int(row)] = JointPath(**copies(parts))
+            self._paths[int(row)] = JointPath.loaded(path)
 
     def clear(self, mask: Bools) -> None:
         """Idle again in the hands in ``mask``."""

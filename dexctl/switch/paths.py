@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.hand import HandModel
+from dexctl.saved import check_names, fill
 from dexctl.state import Floats
 from dexctl.switch.chain import own_joints
 from dexctl.switch.finger_ik import FingerIK
@@ -32,6 +34,19 @@ class JointPath(NamedTuple):
     def at(self, time: float) -> Floats:
         """Set-points ``(k,)`` at ``time``; held before the first and after the last knot."""
         return np.array([np.interp(time, self.time, line) for line in self.q.T])
+
+    @classmethod
+    def loaded(cls, saved: object) -> JointPath:
+        """The path that `_asdict` gave.
+
+        Raises:
+            InvalidInput: it is none.
+        """
+        parts: Mapping[str, Any] = check_names("a path", saved, cls._fields)
+        knots, joints = (np.shape(parts[name])[:1] for name in ("time", "joints"))
+        path = cls(np.zeros(joints, int), np.zeros(knots), np.zeros((*knots, *joints)))
+        fill("a path", path._asdict(), parts)
+        return path
 
 
 class SwingPaths:

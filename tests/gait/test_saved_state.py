@@ -172,7 +172,8 @@ def spoilt(state: dict[str, Any]):
             yield {**state, name: None}
             yield {**state, name: np.zeros((1, 2, 5, 1))}
             yield {**state, name: value.astype(complex)}
-        yield {other: state[other] for other in state if other != name}
+        if not name.isdigit():  # one row of the paths: with fewer, a state is as whole
+            yield {other: state[other] for other in state if other != name}
 
 
 def test_controllers_without_a_state_say_so(dex5: HandModel):
