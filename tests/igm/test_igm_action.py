@@ -137,13 +137,14 @@ def test_the_limits_of_a_shared_grip(dex5, grasp_of, posture):
 
 def test_a_yielding_finger_goes_back_to_where_it_is(dex5, grasp_of, posture):
     """At rate r the set-point's lead shrinks by exp(-r dt), at whatever control rate."""
+    settings = {**EXACT, "twist": STILL, "stability_gain": 0.0}
     state = grasp_of(dex5, posture)
     lead = np.zeros(15)
     lead[3:6] = [0.02, -0.03, 0.01]
     rate = np.array([0.0, 8.0, 0.0, 0.0, 0.0])
     left = []
     for period in (0.05, 0.025):
-        controller = InGraspManipulation(dex5, twist=STILL, control_period=period, **EXACT)
+        controller = InGraspManipulation(dex5, control_period=period, **settings)
         target = state.q + lead
         for _ in range(round(0.05 / period)):
             now = replace(state, q_target=target)
@@ -151,6 +152,20 @@ def test_a_yielding_finger_goes_back_to_where_it_is(dex5, grasp_of, posture):
         left.append((target - state.q)[3:6])
     np.testing.assert_allclose(left[0], np.exp(-8.0 * 0.05) * lead[3:6], rtol=1e-6)
     np.testing.assert_allclose(left[1], left[0], rtol=1e-6)
+
+
+def test_a_yielding_finger_that_still_presses_goes_back_further(dex5, grasp_of, posture):
+    """With its set-point where it is already, a finger held by dry friction still presses."""
+    state = grasp_of(dex5, posture)
+    assert state.contact_force[1] > 0.5
+    rate, share = np.array([0.0, 8.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 1.0, 1.0, 1.0])
+    settings = {**EXACT, "twist": STILL, "friction": 0.0}
+    controller = InGraspManipulation(dex5, **settings)
+    change = controller.command(replace(state, q_target=state.q), Share(None, share, None, rate))
+    jacobian = dex5.contact_jacobian(state.q, state.contact_position)[1]
+    speed = jacobian @ change @ state.contact_normal[1] / 0.05
+    wanted = -controller.config.stability_gain * state.contact_force[1]
+    np.testing.assert_allclose(speed, wanted, rtol=1e-6)
 
 
 @pytest.mark.parametrize("damping", [0.005, 0.02])
