@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl import GraspState, HandModel
+from dexctl import GraspState, HandModel, JointTouch
 from dexctl.exceptions import InvalidInput
 from dexctl.limits import LimitedGoal, limit_goal
 from dexctl.state import Floats
@@ -47,6 +47,8 @@ class ServoHand:
         gains: of the position loop: as registers, the same for all servos, or in SI units, which
             each model has registers of its own for; default: as they are in the servos.
         tactile: what the fingertips feel; default nothing.
+        joint_touch: tells touch from the torques that the servos measure, in place of what
+            ``tactile`` feels; where there is a ``tactile``, that still says which fingertips touch.
         control_period: time of one :meth:`step`, and what the speed limit reckons with [s].
 
     Attributes:
@@ -73,6 +75,7 @@ class ServoHand:
         limits: Limits | None = None,
         gains: ServoGains | SimGains | None = None,
         tactile: TactileSource | None = None,
+        joint_touch: JointTouch | None = None,
         control_period: float = CONTROL_PERIOD,
     ) -> None:
         self.bus = bus
@@ -81,6 +84,7 @@ class ServoHand:
         self.limits = limits or Limits()
         self.gains = gains
         self.tactile = tactile or NoTactile(hand.n_fingers)
+        self.joint_touch, self._switches = joint_touch, tactile is not None
         self._ticker = Ticker(control_period)
         self.control_period = control_period
         self.torque = Torque.UNKNOWN
@@ -127,6 +131,8 @@ class ServoHand:
             tell_torque(error, self.disarm().message)
             raise
         self.torque = Torque.ON
+        if self.joint_touch is not None:
+            self.joint_touch.reset()
         self._ticker.restart()
 
     def _prepare(self) -> None:
@@ -283,7 +289,7 @@ class ServoHand:
     def state(self, sample: JointSample) -> GraspState:
         """The state with the joints of ``sample`` and the touch of now."""
         touch = self._touch = self.tactile.read()
-        return GraspState(
+        state = GraspState(
             q=sample.q.copy(),
             q_target=(self.q_target if np.isfinite(self.q_target).all() else sample.q).copy(),
             in_contact=touch.in_contact,
@@ -293,6 +299,18 @@ class ServoHand:
             time=sample.time,
             age=sample.age,
         )
+        if self.joint_touch is None:
+            return state
+        switches = touch.in_contact if self._switches else None
+        state = self.joint_touch(state, switches, torque=sample.torque)
+        taken, stale = touch.time, touch.stale
+        if not self._switches:  # as old as the joints, which are watched by themselves
+            taken, stale = np.full_like(taken, sample.taken.min()), np.zeros_like(stale)
+        self._touch = TactileReading(
+            state.contact_position, state.contact_normal, state.contact_force, taken, stale,
+            state.in_contact,
+        )  # fmt: skip
+        return state
 
     @property
     def touch(self) -> TactileReading:

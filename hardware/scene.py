@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 from dexctl.limits import REAL_SPEED, REAL_TORQUE, HandLimits
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.sim.sensing import Sensing
+from dexctl.touch import TouchConfig
 from hardware.tactile import TRUSTED_FORCE
 
 NOTHING = "none"
@@ -30,7 +31,8 @@ CLOCK = ("control_period", "substeps")
 """Settings that a servo hand does not have: its control period is the controller's."""
 OF_A_REAL_HAND = (
     "hand", "object", "object_size", "object_mass", "object_mesh", "gravity", "stiffness",
-    "damping", "sensing.touch_threshold", "limits.speed_limit", "limits.torque_limit",
+    "damping", "sensing.touch", *(f"sensing.joint_touch.{one.name}" for one in fields(TouchConfig)),
+    "sensing.touch_threshold", "limits.speed_limit", "limits.torque_limit",
 )  # fmt: skip
 """Settings that count on a real hand too; those of the object say how to grasp it."""
 OF_AN_OBJECT = ("object_size", "object_mass", "object_mesh", "initial_states", "push.push_force")

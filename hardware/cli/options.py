@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from dexctl import HandModel, hands
+from dexctl import HandModel, JointTouch, hands
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import differing, only
@@ -49,7 +49,7 @@ class Session(NamedTuple):
         bus: open.
         hand: not armed.
         emulator: None on a real hand.
-        tactile: what the fingertips feel, or None.
+        tactile: what fingertips or an emulator say, or None.
         grasp: set-points of a grasp around the object, ``(d,)`` [rad], or None.
     """
 
@@ -231,13 +231,21 @@ class HandOptions:
                 found = None if self.emulate else find_baudrate(port, ids, timeout)
                 baudrate = BAUD_RATES[0] if found is None else found
             bus = stack.enter_context(Bus(port, ids, baudrate=baudrate, timeout=timeout))
+            how, felt = self.scene.sensing.touch, None
+            if how != "full":
+                gains = self.gains(limits)
+                felt = JointTouch(
+                    model, gains.kp, gains.kv, self.scene.sensing.joint_touch,
+                    control_period=control_period,
+                )  # fmt: skip
             hand = ServoHand(
                 bus,
                 model,
                 calibration,
                 limits=limits,
                 gains=self.gains(limits),
-                tactile=source,
+                tactile=None if how == "joint-torque" else source,
+                joint_touch=felt,
                 control_period=control_period,
             )
             yield Session(model, bus, hand, emulator, source, grasp)

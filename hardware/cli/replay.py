@@ -59,7 +59,8 @@ class ReplayLog(HandOptions):
         limits = replace(self.limits(), **was)
         replay = Replay(model, q_target, control_period=period)
         with self.open(limits, period) as session, LogWriter(target) as writer:
-            writer.write("/run", about(self, f"replay of {self.log.name}", calibration, limits))
+            name = f"replay of {self.log.name}"
+            writer.write("/run", about(self, name, model, calibration, limits))
             console = notes()
             runner = Runner(
                 session.hand,

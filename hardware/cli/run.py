@@ -18,6 +18,7 @@ from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
+from dexctl.hands.identity import identity
 from dexctl.settings import only, to_plain
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_name
@@ -59,7 +60,8 @@ class Run(HandOptions):
     rate: float | None = None
     """Control rate [Hz]; none: 50, or the rate that a learned policy was trained at."""
     tactile: str | None = None
-    """Serial port of the tactile fingertips; emulated ones need none."""
+    """Serial port of the tactile fingertips; emulated ones need none, nor does --touch
+    joint-torque. With --touch binary only whether they touch is taken from them."""
     seed: int = 0
     """Seed of the random numbers of the controller, and of an emulated scene."""
     out: Path = Path("out")
@@ -75,10 +77,16 @@ class Run(HandOptions):
             raise InvalidInput(f"--rate is {asked}; expected 1 to 500 Hz")
         check_seconds(self.seconds, PERIOD if asked is None else 1.0 / asked)
         limits, held = self.limits(), self.held()
-        blind = self.controller in _BLIND
-        if not (blind or self.emulate or self.tactile):
+        blind, touch = self.controller in _BLIND, self.scene.sensing.touch
+        if not (blind or self.emulate or self.tactile or touch == "joint-torque"):
             raise InvalidInput(
-                f"{self.controller} goes by touch; expected --tactile PORT (or --emulate)"
+                f"{self.controller} goes by touch; expected --tactile PORT, --touch joint-torque "
+                "(or --emulate)"
+            )
+        if touch == "joint-torque" and self.tactile:
+            raise InvalidInput(
+                f"--touch is joint-torque and --tactile {self.tactile}; expected one of them, or "
+                "--touch binary"
             )
         model, calibration = self.load()
         controller = make_controller(self.controller, model, asked)
@@ -90,7 +98,7 @@ class Run(HandOptions):
                 self.open(limits, period, held=held, tactile=self.tactile, seed=self.seed)
             )
             log = stack.enter_context(LogWriter(folder / LOG))
-            log.write("/run", self._about(calibration, limits, held, period))
+            log.write("/run", self._about(model, calibration, limits, held, period))
             console = notes()
             runner = Runner(
                 session.hand,
@@ -135,11 +143,17 @@ class Run(HandOptions):
         return replace(self.scene, object=(name,))
 
     def _about(
-        self, calibration: Calibration, limits: Limits, held: SceneConfig, period: float
+        self,
+        model: HandModel,
+        calibration: Calibration,
+        limits: Limits,
+        held: SceneConfig,
+        period: float,
     ) -> dict[str, Any]:
-        return about(self, self.controller, calibration, limits) | {
+        return about(self, self.controller, model, calibration, limits) | {
             "object": held.object[0],
             "palm": held.palm,
+            "touch": held.sensing.touch,
             "scene": {name: v for name, v in to_plain(held).items() if name not in CLOCK},
             "rate_hz": 1.0 / period,
             "seed": self.seed,
@@ -147,7 +161,11 @@ class Run(HandOptions):
 
 
 def about(
-    options: HandOptions, controller: str, calibration: Calibration, limits: Limits
+    options: HandOptions,
+    controller: str,
+    model: HandModel,
+    calibration: Calibration,
+    limits: Limits,
 ) -> dict[str, Any]:
     """What a log says first."""
     from dexctl.report.machine import machine
@@ -155,10 +173,11 @@ def about(
     return {
         "controller": controller,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "hand": options.scene.hand,
+        "hand": model.name,
+        "hand_files": identity(model),
         "emulated": options.emulate,
         "joints": list(calibration.joint_names),
-        "joint_fingers": fingers_of(options.load()[0]),
+        "joint_fingers": fingers_of(model),
         "servos": calibration.servo.tolist(),
         "calibration_date": None if options.calibration is None else calibration.date.isoformat(),
         "stiffness_nm_per_rad": options.scene.stiffness,
@@ -204,7 +223,10 @@ def _usual_period(name: str) -> float | None:
 
 def truth(session: Session) -> Mapping[str, Any]:
     """The object's pose where an emulator knows it."""
-    return getattr(session.tactile, "truth", {})
+    source = session.tactile
+    if source is not None and source is not session.hand.tactile:
+        source.read()  # the hand does not feel it
+    return getattr(source, "truth", {})
 
 
 def keep_earlier(folder: Path) -> None:

@@ -165,7 +165,8 @@ def _bare(scene: SceneConfig, empty: bool) -> SceneConfig:
         damping=None,
         control_period=TIMESTEP,
         substeps=1,
-        sensing=replace(scene.sensing, touch_threshold=Sensing().touch_threshold),
+        # what is made of joints and switches is for whoever reads them
+        sensing=replace(scene.sensing, touch="full", touch_threshold=Sensing().touch_threshold),
         limits=HandLimits(),
     )
     if not empty:
