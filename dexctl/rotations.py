@@ -36,6 +36,13 @@ def rotation_vector(quaternion: Floats) -> Floats:
     return u * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
 
 
+def from_rotation_vector(vector: Floats) -> Floats:
+    """The turn about ``vector`` ``(..., 3)`` by its length [rad], wxyz; see `rotation_vector`."""
+    angle = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
+    scale = np.where(angle > 1e-9, np.sin(0.5 * angle) / np.maximum(angle, 1e-9), 0.5)
+    return np.concatenate([np.cos(0.5 * angle), scale * vector], axis=-1)
+
+
 def cross(a: Floats, b: Floats) -> Floats:
     """The cross product along the last axis (numpy's is an order slower for small arrays)."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]

@@ -10,6 +10,7 @@ from dexctl.planning.macros import ControllerMacros
 from dexctl.planning.metric import Metric
 from dexctl.planning.nodes import Frame, Nodes
 from dexctl.planning.random_actions import RandomActions
+from dexctl.planning.sampling import GraspSampling, SampledGrasps, sample_grasps
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 
@@ -19,6 +20,7 @@ __all__ = [
     "Expander",
     "Expansion",
     "Frame",
+    "GraspSampling",
     "Kinematic",
     "Metric",
     "Nodes",
@@ -26,9 +28,11 @@ __all__ = [
     "Problem",
     "Progress",
     "RandomActions",
+    "SampledGrasps",
     "Stability",
     "Tree",
     "TreeHeader",
     "grow",
     "holding",
+    "sample_grasps",
 ]

@@ -18,7 +18,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.planning.contacts import ContactModel, Reached
 from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
 from dexctl.planning.nodes import Nodes
-from dexctl.rotations import inverse, multiply, rotate
+from dexctl.rotations import from_rotation_vector, inverse, multiply, rotate
 from dexctl.state import Bools, Floats
 from dexctl.switch.landing import azimuth, split, turned
 from dexctl.validation import check_numbers, check_whole
@@ -220,7 +220,7 @@ class _KinematicExpander:
         position, quaternion = position.copy(), quaternion.copy()
         for _ in range(config.substeps):
             ahead = position[going] + twist[going, :3]
-            facing = multiply(_quaternion(twist[going, 3:]), quaternion[going])
+            facing = multiply(from_rotation_vector(twist[going, 3:]), quaternion[going])
             goal = rotate(facing[:, None], inward[going]) + ahead[:, None]
             found = model.reach(reached.q[going] + free[going], goal, touch[going])
             ok = found.good & model.clear(found, touch[going], ahead, facing)
@@ -309,11 +309,3 @@ def projected(constraint: Floats, wanted: Floats) -> Floats:
     gram = gram + 1e-9 * size[:, None, None] * np.eye(gram.shape[1])
     violation = np.linalg.solve(gram, constraint @ wanted[..., None])
     return wanted - (transposed @ violation)[..., 0]
-
-
-def _quaternion(vector: Floats) -> Floats:
-    """The turn about ``vector`` ``(N, 3)`` by its length [rad], wxyz."""
-    angle = np.linalg.norm(vector, axis=1, keepdims=True)
-    half = 0.5 * angle
-    scale = np.where(angle > 1e-9, np.sin(half) / np.maximum(angle, 1e-9), 0.5)
-    return np.concatenate([np.cos(half), scale * vector], axis=1)

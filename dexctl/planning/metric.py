@@ -87,5 +87,11 @@ class Nearest:
 
     def __call__(self, targets: NDArray[np.float32]) -> NDArray[np.intp]:
         """Which point is nearest to each target ``(B, width)``, ``(B,)``."""
+        return self.nearest(targets)[0]
+
+    def nearest(self, targets: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+        """As by a call, and how far it is, ``(B,)`` each."""
         points, norms = self._points[: self._count], self._norms[: self._count]
-        return np.argmin(norms - 2.0 * (targets @ points.T), axis=1)
+        index = np.argmin(norms - 2.0 * (targets @ points.T), axis=1)
+        # anew: the difference of squares above is not exact where two points nearly coincide
+        return index, np.linalg.norm(points[index] - targets, axis=1)

@@ -1,0 +1,83 @@
+"""Sampled grasps: they hold, are distinct, and come far quicker than from random joints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.planning import Frame, GraspSampling, Metric, SampledGrasps, Stability, sample_grasps
+from dexctl.planning.nodes import put, root_of
+from dexctl.rotations import from_rotation_vector, multiply, rotation_vector
+from dexctl.sim import BatchSimulator, GraspStates, Scene
+
+
+@pytest.fixture(scope="module")
+def l_shape() -> Scene:
+    return Scene.build("dex5", "l_shape", "up")
+
+
+@pytest.fixture(scope="module")
+def sampled(l_shape: Scene) -> SampledGrasps:
+    return sample_grasps(l_shape, 40, GraspSampling(batch=64), seed=0, threads=1)
+
+
+def test_sampled_grasps_hold(l_shape: Scene, sampled: SampledGrasps) -> None:
+    nodes = sampled.nodes
+    assert len(nodes) == len(sampled.states) == 40
+    assert (nodes.in_contact.sum(axis=1) >= 3).all()
+    with BatchSimulator(l_shape, 40, disturbance=0.0, threads=1) as sim:
+        put(sim, nodes)
+        assert Stability(seconds=2.0).check(sim).stable.mean() > 0.9
+
+
+def test_they_are_all_over_the_object_and_apart(l_shape: Scene, sampled: SampledGrasps) -> None:
+    turned = np.sort(sampled.nodes.rotation)
+    assert turned[0] < -2 and turned[-1] > 2  # any way round
+    assert len({tuple(row) for row in sampled.nodes.in_contact.tolist()}) > 3
+    points = Metric().of(Frame.of("z", root_of(l_shape)), sampled.nodes)
+    apart = np.linalg.norm(points[:, None] - points, axis=-1)
+    assert apart[np.triu_indices(40, 1)].min() >= 0.1
+
+
+def test_all_that_were_tried_are_accounted_for(sampled: SampledGrasps) -> None:
+    assert sampled.tried % 64 == 0
+    assert sampled.tried - sum(sampled.refused.values()) >= 40  # some beyond the count are left out
+    assert sampled.seconds > 0
+
+
+def test_fingertips_round_the_object_are_quicker_than_random_joints(l_shape: Scene) -> None:
+    shares = []
+    for place in ("fingertips", "joints"):
+        config = GraspSampling(place=place, batch=64, settle_seconds=0.2)
+        try:
+            found = sample_grasps(l_shape, 500, config, seed=1, most_tried=192, threads=1)
+            shares.append(len(found.nodes) / found.tried)
+        except InvalidInput:
+            shares.append(0.0)
+    assert shares[0] > 5 * shares[1]
+
+
+def test_states_are_a_file_that_episodes_start_from(sampled: SampledGrasps, tmp_path: Path) -> None:
+    sampled.states.save(tmp_path / "grasps.npz")
+    assert len(GraspStates.load(tmp_path / "grasps.npz")) == 40
+
+
+def test_what_sampling_refuses(l_shape: Scene) -> None:
+    with pytest.raises(InvalidInput, match="count is 0; expected a whole number"):
+        sample_grasps(l_shape, 0)
+    with pytest.raises(UnknownName, match="unknown place 'elbows'; known: fingertips, joints"):
+        GraspSampling(place="elbows")
+    hard = Stability(min_contacts=5, max_distance=1e-9)
+    with pytest.raises(InvalidInput, match="none of 32 random grasps of Scene"):
+        sample_grasps(l_shape, 2, GraspSampling(batch=32), stability=hard, most_tried=32, threads=1)
+
+
+def test_rotation_vectors_and_back() -> None:
+    vector = np.random.default_rng(0).normal(size=(20, 3))
+    np.testing.assert_allclose(rotation_vector(from_rotation_vector(vector)), vector, atol=1e-12)
+    half = from_rotation_vector(0.5 * vector)
+    np.testing.assert_allclose(multiply(half, half), from_rotation_vector(vector), atol=1e-12)
+    np.testing.assert_allclose(from_rotation_vector(np.zeros(3)), [1, 0, 0, 0])
