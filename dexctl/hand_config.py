@@ -168,6 +168,8 @@ class HandConfig:
     fingertips: dict[str, Vector3]
     """One body, site or link for each finger, in the order of the fingers, and where the tip is in
     its frame [m]."""
+    fingertip_radius: float = 0.0
+    """Of the fingertips about their tip points [m]; 0: the tip points are on the surface."""
     joints: tuple[str, ...] | None = None
     """The joints in the order of the controller board; none: finger by finger, base to tip."""
     palm: PalmConfig = field(default_factory=PalmConfig)
@@ -182,6 +184,11 @@ class HandConfig:
     def __post_init__(self) -> None:
         if not self.name:
             object.__setattr__(self, "name", self.description.stem)
+        if not (np.isfinite(self.fingertip_radius) and self.fingertip_radius >= 0):
+            raise HandModelError(
+                f"fingertip_radius is {self.fingertip_radius!r}; expected a finite number, 0 or "
+                "more"
+            )
         if not self.fingertips:
             raise HandModelError("fingertips is empty; expected one body, site or link per finger")
         tips = {tip: self._offset(tip, offset) for tip, offset in self.fingertips.items()}

@@ -154,7 +154,7 @@ class GraspState:
             hand, q, q_target: as in `from_joint_torques`.
             in_contact: which fingertips touch, ``(..., m)``.
             stiffness, torque, free_torque: as there, or none of them.
-            config: ``nominal_force`` and the fingertips' radius; None: the defaults.
+            config: ``nominal_force``; None: the defaults.
             object_position, object_quaternion, time, age: as of the state.
 
         Raises:

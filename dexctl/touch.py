@@ -42,14 +42,12 @@ class TouchConfig:
     """Of a switch that is closed, where no torque is known [N]."""
     smoothing_time: float = 0.05
     """Time constant of the low-pass on torques and joint speeds [s]; 0: none."""
-    fingertip_radius: float = 0.0
-    """Of the fingertip about its tip point [m]; 0: the tip point is on the surface."""
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
             positive=("touch_force", "nominal_force"),
-            not_negative=("release_force", "lean", "smoothing_time", "fingertip_radius"),
+            not_negative=("release_force", "lean", "smoothing_time"),
         )
         if self.release_force > self.touch_force:
             raise InvalidInput(
@@ -82,6 +80,7 @@ class Hand(Protocol):
     effort: Floats
     moves: Bools
     finger_joints: NDArray[np.intp]
+    config: Any
 
     def configuration(self, q: ArrayLike, /) -> Any:
         """Forward kinematics."""
@@ -140,7 +139,7 @@ def estimate_touch(
         least = np.where(before, config.release_force, config.touch_force)
         touch = (force >= least) if in_contact is None else in_contact
     rows = touch[..., None]
-    point = tip + config.fingertip_radius * normal
+    point = tip + hand.config.fingertip_radius * normal
     return TouchEstimate(
         touch,
         np.where(rows, point, 0.0),

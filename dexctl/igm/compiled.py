@@ -195,6 +195,102 @@ def _stable_forces(wrench, active, k, low, high, rho, forces):
     return -1
 
 
+@_compiled()
+def _way(
+    axle,
+    k,
+    joints,
+    q,
+    joint_limits,
+    lever,
+    origin,
+    twist,
+    normal,
+    tip,
+    damping,
+    reach_margin,
+    link_limit,
+):
+    """How far a finger of ``k`` joints can go along the wanted twist [m], as in `reach.Reach`."""
+    point, v = np.empty(3), np.empty(3)
+    column, rate = np.empty((k, 3)), np.empty(k)
+    for c in range(3):
+        u, w = (c + 1) % 3, (c + 2) % 3
+        point[c] = lever[c] + origin[c]
+        v[c] = twist[c] + twist[3 + u] * lever[w] - twist[3 + w] * lever[u]
+    speed = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    if speed <= 1e-9:
+        return np.inf
+    xx = yy = zz = damping**2
+    xy = xz = yz = 0.0
+    for j in range(k):
+        for c in range(3):
+            u, w = (c + 1) % 3, (c + 2) % 3
+            column[j, c] = axle[j, c] + axle[j, 3 + u] * point[w] - axle[j, 3 + w] * point[u]
+        rx, ry, rz = column[j]
+        xx += rx * rx
+        yy += ry * ry
+        zz += rz * rz
+        xy += rx * ry
+        xz += rx * rz
+        yz += ry * rz
+    c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    c11, c12, c22 = xx * zz - xz * xz, xy * xz - yz * xx, xx * yy - xy * xy
+    share = 1.0 / (xx * c00 + xy * c01 + xz * c02)
+    sx = (c00 * v[0] + c01 * v[1] + c02 * v[2]) * share
+    sy = (c01 * v[0] + c11 * v[1] + c12 * v[2]) * share
+    sz = (c02 * v[0] + c12 * v[1] + c22 * v[2]) * share
+    size = sx * v[0] + sy * v[1] + sz * v[2]
+    time = np.inf
+    px = py = pz = 0.0  # velocity of the contact
+    for j in range(k):
+        rate[j] = column[j, 0] * sx + column[j, 1] * sy + column[j, 2] * sz
+        px += rate[j] * column[j, 0]
+        py += rate[j] * column[j, 1]
+        pz += rate[j] * column[j, 2]
+        if rate[j] != 0.0:
+            end = joint_limits[1 if rate[j] > 0 else 0, joints[j]]
+            time = min(time, (end - q[joints[j]]) / rate[j])
+    growth = 0.0
+    ax = ay = az = bx = by = bz = 0.0  # twist of what carries the joint: linear, angular
+    for j in range(k):
+        lx, ly, lz, wx, wy, wz = axle[j]
+        # the joint's axis, carried along
+        dx = by * wz - bz * wy
+        dy = bz * wx - bx * wz
+        dz = bx * wy - by * wx
+        cx = by * lz - bz * ly + ay * wz - az * wy + dy * point[2] - dz * point[1]
+        cy = bz * lx - bx * lz + az * wx - ax * wz + dz * point[0] - dx * point[2]
+        cz = bx * ly - by * lx + ax * wy - ay * wx + dx * point[1] - dy * point[0]
+        cx += wy * pz - wz * py
+        cy += wz * px - wx * pz
+        cz += wx * py - wy * px
+        growth -= 2.0 * rate[j] * (cx * sx + cy * sy + cz * sz)
+        ax += rate[j] * lx
+        ay += rate[j] * ly
+        az += rate[j] * lz
+        bx += rate[j] * wx
+        by += rate[j] * wy
+        bz += rate[j] * wz
+    if growth > 0.0:
+        time = min(time, size / growth)
+    way = speed * time - reach_margin
+    lx, ly, lz, wx, wy, wz = axle[k - 1]
+    mx = lx + wy * tip[2] - wz * tip[1]
+    my = ly + wz * tip[0] - wx * tip[2]
+    mz = lz + wx * tip[1] - wy * tip[0]
+    ex, ey, ez = wy * mz - wz * my, wz * mx - wx * mz, wx * my - wy * mx
+    length = max(np.sqrt(ex * ex + ey * ey + ez * ez), 1e-12)
+    lean = (normal[0] * ex + normal[1] * ey + normal[2] * ez) / length
+    rolling = (twist[3] - bx) * (normal[1] * ez - normal[2] * ey)
+    rolling += (twist[4] - by) * (normal[2] * ex - normal[0] * ez)
+    rolling += (twist[5] - bz) * (normal[0] * ey - normal[1] * ex)
+    rolling /= length
+    if rolling > 0.0:
+        way = min(way, speed * (link_limit - lean) / rolling)
+    return way
+
+
 def _read(kind, dimensions):
     """An array that is only read, however it lies in memory: one signature takes them all."""
     return types.Array(kind, dimensions, "A", readonly=True)
@@ -206,7 +302,7 @@ _B1, _B2 = (_read(types.boolean, n) for n in (1, 2))
 # with its signature given it is compiled when imported, not in the middle of a control loop
 _HAND_AND_CONTACTS = (_F4, _F3, _I2, _I1, _F2, _F2, _B2, _B2, _F3, _F3, _F2)
 _OBJECT_AND_WANTED = (_F2, _F2, _F2, _F2, _B1, _F2, _F2, _F2)
-_SETTINGS = (_F1, types.UniTuple(types.float64, 13), _F2)
+_SETTINGS = (_F1, types.UniTuple(types.float64, 16), _F2)
 
 
 @_compiled((*_HAND_AND_CONTACTS, *_OBJECT_AND_WANTED, *_SETTINGS))
@@ -241,14 +337,17 @@ def in_grasp_step(
     count, m = touch.shape
     n = joints.shape[1]
     (grip, gain, rho, least, friction, length, damping, dt) = settings[:8]
-    (height_gain, centring_gain, tilt_gain, closing_speed, max_lead) = settings[8:]
+    (height_gain, centring_gain, tilt_gain, closing_speed, max_lead) = settings[8:13]
+    (slow_down, reach_margin, link_limit) = settings[13:]
     change = np.zeros(q.shape)
     desired = np.zeros((count, m))
     residual = np.zeros(count)
     held = np.empty(count, np.int64)
     origin = np.zeros((count, 3))
+    reach = np.ones(count)
     lever, push, wrench = np.empty((m, 3)), np.zeros((m, 3)), np.zeros((m, 6))
     active, low, high = np.empty(m, np.int64), np.empty(m), np.empty(m)
+    nothing = np.zeros(3)
     jacobian, velocity, twist = np.empty((n, 3)), np.empty(3), np.empty(6)
     tracked, oriented = len(object_position) > 0, len(object_quaternion) > 0
 
@@ -313,6 +412,27 @@ def in_grasp_step(
         # wanted twist, and what pulls the object back to where it was
         for c in range(6):
             twist[c] = wanted[e, c]
+        if slow_down > 0:
+            for i in range(m):
+                if touch[e, i] or closing[e, i]:
+                    way = _way(
+                        finger_twist[e, i],
+                        counts[i],
+                        joints[i],
+                        q[e],
+                        joint_limits,
+                        lever[i],
+                        origin[e],
+                        twist,
+                        normal[e, i] if touch[e, i] else nothing,
+                        tips[e, i],
+                        damping,
+                        reach_margin,
+                        link_limit,
+                    )
+                    reach[e] = min(reach[e], max(way / slow_down, 0.0))
+            for c in range(6):
+                twist[c] *= reach[e]
         if known[e]:
             along = 0.0
             for c in range(3):
@@ -403,4 +523,4 @@ def in_grasp_step(
             top = min(q[e, d] + max_lead, upper)
             goal = max(min(max(goal, bottom), top), lower)
             change[e, d] = goal - q_target[e, d]
-    return change, desired, residual, held, origin
+    return change, desired, residual, held, origin, reach

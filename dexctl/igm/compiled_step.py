@@ -47,6 +47,9 @@ class CompiledStep:
             float(config.tilt_gain),
             float(config.closing_speed),
             float(config.max_lead),
+            float(config.slow_down),
+            float(config.reach_margin),
+            float(config.link_limit),
         )
 
     def __call__(self, step: StepInput) -> StepResult:

@@ -48,6 +48,15 @@ class InGraspManipulationConfig:
     hold it (`dexctl.grasp.odometry.ContactOdometry`); else the contacts' centroid stands for it."""
     closing_speed: float = 0.03
     """Fingers out of touch move towards the object at this speed [m/s]."""
+    slow_down: float = 0.01
+    """The wanted motion slows down over the last so much of the way that some finger has along it,
+    and stops at its end: a joint's limit, a posture in which it cannot go on, a contact that has
+    rolled to its link [m]. What turns round goes back at full speed. 0: it goes on regardless."""
+    reach_margin: float = 0.02
+    """It stops so far before joint limits and singular postures [m]."""
+    link_limit: float = 0.1
+    """And where the contact normal leans towards the fingertip's link by so much, as the cosine of
+    the angle between the two: at 0 the link is parallel to the surface."""
     max_joint_speed: float = 2.0
     """Set-points move at most this fast [rad/s]."""
     max_lead: float = 0.25
@@ -70,10 +79,14 @@ class InGraspManipulationConfig:
                 "centring_gain",
                 "tilt_gain",
                 "closing_speed",
+                "slow_down",
+                "reach_margin",
             ),
             fractions=("min_force",),
         )
         check_kind(self, odometry=bool)
+        if not (isinstance(self.link_limit, (int, float)) and -1 <= self.link_limit <= 1):
+            raise InvalidInput(f"link_limit is {self.link_limit!r}; expected a number from -1 to 1")
         if self.length is not None:
             check_numbers(self, positive=("length",))
         if self.regulariser and self.regulariser < 1e-6:
@@ -95,6 +108,7 @@ class InGraspManipulationConfig:
             tilt_gain=0.0,
             odometry=False,
             closing_speed=0.0,
+            slow_down=0.0,
         )
         return replace(plain, **changes)
 
@@ -121,6 +135,9 @@ class InGraspManipulationChanges(TypedDict, total=False):
     tilt_gain: float
     odometry: bool
     closing_speed: float
+    slow_down: float
+    reach_margin: float
+    link_limit: float
     max_joint_speed: float
     max_lead: float
     engine: str

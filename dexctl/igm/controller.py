@@ -232,6 +232,7 @@ class InGraspManipulation(Controller):
             "residual": result.residual,
             "held": result.held,
             "origin": result.origin,
+            "reach": result.reach,
         }
         return result.change
 

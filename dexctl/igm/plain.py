@@ -7,6 +7,7 @@ import numpy as np
 from dexctl.hand import HandModel
 from dexctl.igm.config import InGraspManipulationConfig
 from dexctl.igm.inverse import ContactInverse
+from dexctl.igm.reach import Reach
 from dexctl.igm.stability import push_directions, stable_forces
 from dexctl.igm.step import StepInput, StepResult
 from dexctl.limits import SetPointLimits
@@ -36,6 +37,7 @@ class PlainStep:
         self._axis = axis
         self._dt = control_period
         self._inverse = ContactInverse(hand, config.damping)
+        self._reach = Reach(hand, config)
         self._limits = SetPointLimits(hand, config.max_joint_speed, config.max_lead, control_period)
 
     def __call__(self, step: StepInput) -> StepResult:
@@ -69,7 +71,12 @@ class PlainStep:
         if step.yielding.any():
             self._yield(velocity, step, jacobian)
         # eq. dqrot: with the object; superposed before the inverse, which is linear
-        twist = step.twist + self._regulation(step, origin)
+        reach = np.ones(len(origin))
+        if config.slow_down:
+            held_or_closing = step.touch | step.closing
+            seen = (step.twist, point, normal, lever, held_or_closing)
+            reach = self._reach(step.hand_now, step.q, *seen)
+        twist = reach[:, None] * step.twist + self._regulation(step, origin)
         rigid = twist[:, None, :3] + cross(twist[:, None, 3:], lever)  # G^T t
         velocity += np.where(touching, rigid, 0.0)
         if step.closing.any():
@@ -77,7 +84,7 @@ class PlainStep:
 
         change = self._inverse.solve(jacobian, velocity * self._dt)
         change = self._limits(step.q, step.q_target, change)
-        return StepResult(change, desired, residual, np.asarray(held), origin)
+        return StepResult(change, desired, residual, np.asarray(held), origin, reach)
 
     def _yield(self, velocity: Floats, step: StepInput, jacobian: Floats) -> None:
         """Where fingers yield, let the set-point go back to the finger besides, in place."""

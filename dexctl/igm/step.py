@@ -52,6 +52,7 @@ class StepResult(NamedTuple):
         residual: wrench that they leave, as a share of the grip ``(N,)``.
         held: finger whose share is held at one, -1 for none ``(N,)``.
         origin: the point that stands for the object's centre ``(N, 3)`` [m].
+        reach: share of the wanted twist that is left, 1 to 0 ``(N,)``.
     """
 
     change: Floats
@@ -59,3 +60,4 @@ class StepResult(NamedTuple):
     residual: Floats
     held: NDArray
     origin: Floats
+    reach: Floats

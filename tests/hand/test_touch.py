@@ -13,7 +13,7 @@ from dexctl.joint_touch import JointTouch
 from dexctl.touch import TouchConfig
 
 RADIUS = 0.014
-CONFIG = TouchConfig(fingertip_radius=RADIUS)
+CONFIG = TouchConfig()
 
 
 @pytest.fixture(scope="module")
