@@ -25,7 +25,8 @@ from dexctl.validation import check_kind, check_mask, check_numbers, with_change
 
 
 def _turning() -> InGraspManipulationConfig:
-    return InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.35))
+    # a finger that nears its end is switched, and `most_travel` stops the object till then
+    return InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.35), reach_distance=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

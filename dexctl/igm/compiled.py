@@ -338,7 +338,7 @@ def in_grasp_step(
     n = joints.shape[1]
     (grip, gain, rho, least, friction, length, damping, dt) = settings[:8]
     (height_gain, centring_gain, tilt_gain, closing_speed, max_lead) = settings[8:13]
-    (slow_down, reach_margin, link_limit) = settings[13:]
+    (reach_distance, reach_margin, link_limit) = settings[13:]
     change = np.zeros(q.shape)
     desired = np.zeros((count, m))
     residual = np.zeros(count)
@@ -412,7 +412,7 @@ def in_grasp_step(
         # wanted twist, and what pulls the object back to where it was
         for c in range(6):
             twist[c] = wanted[e, c]
-        if slow_down > 0:
+        if reach_distance > 0:
             for i in range(m):
                 if touch[e, i] or closing[e, i]:
                     way = _way(
@@ -430,7 +430,7 @@ def in_grasp_step(
                         reach_margin,
                         link_limit,
                     )
-                    reach[e] = min(reach[e], max(way / slow_down, 0.0))
+                    reach[e] = min(reach[e], max(way / reach_distance, 0.0))
             for c in range(6):
                 twist[c] *= reach[e]
         if known[e]:

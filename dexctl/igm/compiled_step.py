@@ -47,7 +47,7 @@ class CompiledStep:
             float(config.tilt_gain),
             float(config.closing_speed),
             float(config.max_lead),
-            float(config.slow_down),
+            float(config.reach_distance),
             float(config.reach_margin),
             float(config.link_limit),
         )

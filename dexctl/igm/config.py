@@ -48,7 +48,7 @@ class InGraspManipulationConfig:
     hold it (`dexctl.grasp.odometry.ContactOdometry`); else the contacts' centroid stands for it."""
     closing_speed: float = 0.03
     """Fingers out of touch move towards the object at this speed [m/s]."""
-    slow_down: float = 0.01
+    reach_distance: float = 0.01
     """The wanted motion slows down over the last so much of the way that some finger has along it,
     and stops at its end: a joint's limit, a posture in which it cannot go on, a contact that has
     rolled to its link [m]. What turns round goes back at full speed. 0: it goes on regardless."""
@@ -79,7 +79,7 @@ class InGraspManipulationConfig:
                 "centring_gain",
                 "tilt_gain",
                 "closing_speed",
-                "slow_down",
+                "reach_distance",
                 "reach_margin",
             ),
             fractions=("min_force",),
@@ -108,7 +108,7 @@ class InGraspManipulationConfig:
             tilt_gain=0.0,
             odometry=False,
             closing_speed=0.0,
-            slow_down=0.0,
+            reach_distance=0.0,
         )
         return replace(plain, **changes)
 
@@ -135,7 +135,7 @@ class InGraspManipulationChanges(TypedDict, total=False):
     tilt_gain: float
     odometry: bool
     closing_speed: float
-    slow_down: float
+    reach_distance: float
     reach_margin: float
     link_limit: float
     max_joint_speed: float

@@ -72,7 +72,7 @@ class PlainStep:
             self._yield(velocity, step, jacobian)
         # eq. dqrot: with the object; superposed before the inverse, which is linear
         reach = np.ones(len(origin))
-        if config.slow_down:
+        if config.reach_distance:
             held_or_closing = step.touch | step.closing
             seen = (step.twist, point, normal, lever, held_or_closing)
             reach = self._reach(step.hand_now, step.q, *seen)

@@ -99,4 +99,4 @@ class Reach:
             margin = speed * np.minimum(to_limit, to_singular) - config.reach_margin
             way = np.minimum(margin, np.where(np.isinf(to_link), np.inf, speed * to_link))
         way = np.where(fingers & (speed > 1e-9), way, np.inf).min(axis=-1)
-        return np.clip(way / config.slow_down, 0.0, 1.0)
+        return np.clip(way / config.reach_distance, 0.0, 1.0)

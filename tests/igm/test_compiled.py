@@ -59,6 +59,8 @@ def _share(rng: np.random.Generator, shape: tuple[int, int]) -> Share:
     friction=st.sampled_from([0.0, 0.3, 1.0]),
     length=st.sampled_from([None, 0.05]),
     closing=st.sampled_from([0.0, 0.03]),
+    reach_distance=st.sampled_from([0.0, 0.01, 0.3]),
+    link_limit=st.sampled_from([0.1, 1.0]),
 )
 def test_compiled_and_plain_agree(
     dex5: dexctl.HandModel,
@@ -68,10 +70,17 @@ def test_compiled_and_plain_agree(
     friction: float,
     length: float | None,
     closing: float,
+    reach_distance: float,
+    link_limit: float,
 ) -> None:
     rng = np.random.default_rng(seed)
     config = InGraspManipulationConfig(
-        friction=friction, length=length, closing_speed=closing, twist=(0.01, 0, 0, 0.1, 0, 0.3)
+        friction=friction,
+        length=length,
+        closing_speed=closing,
+        reach_distance=reach_distance,
+        link_limit=link_limit,
+        twist=(0.01, 0, 0, 0.1, 0, 0.3),
     )
     compiled = InGraspManipulation(dex5, config, engine="compiled")
     plain = InGraspManipulation(dex5, config, engine="plain")
