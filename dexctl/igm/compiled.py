@@ -210,24 +210,23 @@ def _way(
     damping,
     reach_margin,
     link_limit,
+    column,
+    rate,
 ):
     """How far a finger of ``k`` joints can go along the wanted twist [m], as in `reach.Reach`."""
-    point, v = np.empty(3), np.empty(3)
-    column, rate = np.empty((k, 3)), np.empty(k)
-    for c in range(3):
-        u, w = (c + 1) % 3, (c + 2) % 3
-        point[c] = lever[c] + origin[c]
-        v[c] = twist[c] + twist[3 + u] * lever[w] - twist[3 + w] * lever[u]
-    speed = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    x, y, z = lever[0] + origin[0], lever[1] + origin[1], lever[2] + origin[2]
+    vx = twist[0] + twist[4] * lever[2] - twist[5] * lever[1]
+    vy = twist[1] + twist[5] * lever[0] - twist[3] * lever[2]
+    vz = twist[2] + twist[3] * lever[1] - twist[4] * lever[0]
+    speed = np.sqrt(vx * vx + vy * vy + vz * vz)
     if speed <= 1e-9:
         return np.inf
     xx = yy = zz = damping**2
     xy = xz = yz = 0.0
     for j in range(k):
-        for c in range(3):
-            u, w = (c + 1) % 3, (c + 2) % 3
-            column[j, c] = axle[j, c] + axle[j, 3 + u] * point[w] - axle[j, 3 + w] * point[u]
-        rx, ry, rz = column[j]
+        lx, ly, lz, wx, wy, wz = axle[j]
+        rx, ry, rz = lx + wy * z - wz * y, ly + wz * x - wx * z, lz + wx * y - wy * x
+        column[j, 0], column[j, 1], column[j, 2] = rx, ry, rz
         xx += rx * rx
         yy += ry * ry
         zz += rz * rz
@@ -237,10 +236,10 @@ def _way(
     c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     c11, c12, c22 = xx * zz - xz * xz, xy * xz - yz * xx, xx * yy - xy * xy
     share = 1.0 / (xx * c00 + xy * c01 + xz * c02)
-    sx = (c00 * v[0] + c01 * v[1] + c02 * v[2]) * share
-    sy = (c01 * v[0] + c11 * v[1] + c12 * v[2]) * share
-    sz = (c02 * v[0] + c12 * v[1] + c22 * v[2]) * share
-    size = sx * v[0] + sy * v[1] + sz * v[2]
+    sx = (c00 * vx + c01 * vy + c02 * vz) * share
+    sy = (c01 * vx + c11 * vy + c12 * vz) * share
+    sz = (c02 * vx + c12 * vy + c22 * vz) * share
+    size = sx * vx + sy * vy + sz * vz
     time = np.inf
     px = py = pz = 0.0  # velocity of the contact
     for j in range(k):
@@ -259,9 +258,9 @@ def _way(
         dx = by * wz - bz * wy
         dy = bz * wx - bx * wz
         dz = bx * wy - by * wx
-        cx = by * lz - bz * ly + ay * wz - az * wy + dy * point[2] - dz * point[1]
-        cy = bz * lx - bx * lz + az * wx - ax * wz + dz * point[0] - dx * point[2]
-        cz = bx * ly - by * lx + ax * wy - ay * wx + dx * point[1] - dy * point[0]
+        cx = by * lz - bz * ly + ay * wz - az * wy + dy * z - dz * y
+        cy = bz * lx - bx * lz + az * wx - ax * wz + dz * x - dx * z
+        cz = bx * ly - by * lx + ax * wy - ay * wx + dx * y - dy * x
         cx += wy * pz - wz * py
         cy += wz * px - wx * pz
         cz += wx * py - wy * px
@@ -347,7 +346,7 @@ def in_grasp_step(
     reach = np.ones(count)
     lever, push, wrench = np.empty((m, 3)), np.zeros((m, 3)), np.zeros((m, 6))
     active, low, high = np.empty(m, np.int64), np.empty(m), np.empty(m)
-    nothing = np.zeros(3)
+    nothing, rate = np.zeros(3), np.empty(n)
     jacobian, velocity, twist = np.empty((n, 3)), np.empty(3), np.empty(6)
     tracked, oriented = len(object_position) > 0, len(object_quaternion) > 0
 
@@ -429,6 +428,8 @@ def in_grasp_step(
                         damping,
                         reach_margin,
                         link_limit,
+                        jacobian,
+                        rate,
                     )
                     reach[e] = min(reach[e], max(way / reach_distance, 0.0))
             for c in range(6):

@@ -38,7 +38,7 @@ class InGraspManipulationConfig:
     """Of the least-squares inverse [m]."""
     height_gain: float = 1.0
     """Pulls the object back, along the axis of rotation, to where it was at the first call after
-    a reset [1/s]."""
+    a reset, moved by what was wanted since [1/s]."""
     centring_gain: float = 1.0
     """Pulls it back across the axis [1/s]."""
     tilt_gain: float = 1.0

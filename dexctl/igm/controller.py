@@ -87,6 +87,7 @@ class InGraspManipulation(Controller):
         self._twist = np.array(self.config.twist, float)
         turn = np.linalg.norm(self._twist[3:])
         self.axis = self._twist[3:] / turn if turn > 0 else np.array([0.0, 0.0, 1.0])
+        self._travels = bool(self._twist[:3].any())
         self._reference = Reference(self.axis)
         self._odometry = ContactOdometry(hand, control_period)
         self.engine = self._engine()
@@ -225,6 +226,10 @@ class InGraspManipulation(Controller):
         check_action(result.change)
         if not self._reference.complete:
             self._reference.learn(result.origin, quaternion)
+        if share.twist is not None or self._travels:
+            wanted = self._wanted if share.twist is None else share.twist
+            paced = self.control_period * result.reach[:, None] * wanted
+            self._reference.carry(paced, quaternion)
         if single:
             result = StepResult(*(part[0] for part in result))
         self._diagnostics = {

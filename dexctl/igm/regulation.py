@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
-from dexctl.rotations import inverse, rotate
+from dexctl.rotations import cross, inverse, rotate
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats
 from dexctl.validation import check_mask
@@ -85,6 +85,22 @@ class Reference:
         self.meet(len(origin))
         self.known[:] = False
         self.learn(origin, quaternion)
+
+    def carry(self, step: Floats, quaternion: Floats) -> None:
+        """Move the references with the objects by what was wanted of them in one control period.
+
+        Args:
+            step: (linear [m], angular [rad]), ``(N, 6)``; a turn about the axis moves nothing.
+            quaternion: of the objects, ``(N, 4)``, or with no rows.
+        """
+        self.position = self.position + np.where(self.known[:, None], step[:, :3], 0.0)
+        if len(quaternion):
+            tilted = self.carried_axis - rotate(
+                inverse(quaternion), cross(step[:, 3:], np.broadcast_to(self._axis, (len(step), 3)))
+            )
+            length = np.sqrt((tilted * tilted).sum(axis=-1, keepdims=True))
+            tilted = tilted / np.maximum(length, 1e-12)
+            self.carried_axis = np.where(self.known[:, None], tilted, self.carried_axis)
 
     def learn(self, origin: Floats, quaternion: Floats) -> None:
         """Take the reference of the environments that have none; quaternions may be missing."""
