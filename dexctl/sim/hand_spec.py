@@ -12,20 +12,19 @@ from dexctl.description import root_tag
 from dexctl.exceptions import SimulationError
 from dexctl.hand import HandModel
 from dexctl.sim.checks import listed
-from dexctl.sim.servos import ServoGains, add_servos, proposed_gains
-from dexctl.sim.urdf_spec import TIP_RADIUS, exclude_neighbours, read_urdf
+from dexctl.sim.file_settings import (
+    TIMESTEP,
+    lean_model,
+    own_options,
+    plain_defaults,
+    settle_masses,
+)
+from dexctl.sim.neighbours import exclude_neighbours
+from dexctl.sim.servo_gains import ServoGains, proposed_gains
+from dexctl.sim.servos import add_servos
+from dexctl.sim.urdf_spec import TIP_RADIUS, read_urdf
 from dexctl.state import Floats
 
-TIMESTEP = 0.005
-"""Of the physics, unless the simulator is given another [s]."""
-# What differs from MuJoCo's defaults among the options; a file has no say in any of them.
-_OPTIONS = {
-    "timestep": TIMESTEP,
-    "integrator": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-    "cone": mujoco.mjtCone.mjCONE_ELLIPTIC,
-    "impratio": 10.0,
-}
-_SIZES = ("memory", "njmax", "nconmax", "nemax", "nstack", "nuserdata")
 # A joint equality holds against acceleration, and finger links are light: as stiff as it can be.
 _COUPLING_SOLREF, _COUPLING_SOLIMP = (2 * TIMESTEP, 1.0), (0.999, 0.9999, 0.001, 0.5, 2.0)
 
@@ -61,31 +60,12 @@ def hand_spec(hand: HandModel) -> HandSpec:
 
 
 def propose_servos(hand: HandModel) -> ServoGains:
-    """Gains for a hand of whose servos nothing is known; see `dexctl.sim.servos`.
+    """Gains for a hand of whose servos nothing is known; see `dexctl.sim.servo_gains`.
 
     What its file or its ``config.servos`` say is not looked at; masses and armature are.
     """
     nothing = np.full(hand.nq, np.nan)
     return proposed_gains(lean_model(_without_servos(hand)[0], hand), hand, nothing, nothing)
-
-
-def lean_model(spec: mujoco.MjSpec, hand: HandModel) -> mujoco.MjModel:
-    """The compiled model without what is only seen; the spec stays as it is.
-
-    Raises:
-        SimulationError: MuJoCo cannot compile it.
-    """
-    lean = spec.copy()  # compiling removes what is discarded from the spec itself
-    lean.compiler.discardvisual = True
-    return _compiled(lean, hand)
-
-
-def _compiled(spec: mujoco.MjSpec, hand: HandModel) -> mujoco.MjModel:
-    try:
-        return spec.compile()
-    except ValueError as error:
-        why = " ".join(str(error).split())
-        raise SimulationError(f"{hand.path}: MuJoCo cannot compile the scene: {why}") from None
 
 
 def _without_servos(hand: HandModel) -> tuple[mujoco.MjSpec, list[str]]:
@@ -98,8 +78,8 @@ def _without_servos(hand: HandModel) -> tuple[mujoco.MjSpec, list[str]]:
         spec = _read_mjcf(hand)
         own_options(spec)
         _strip(spec, hand, notes)
-        _settle_masses(spec, hand)
-        _plain_defaults(spec)
+        settle_masses(spec, hand)
+        plain_defaults(spec)
         _check_tips(spec, hand, notes)
     _couple(spec, hand, notes)
     _turn(spec, hand.base_rotation)
@@ -117,67 +97,6 @@ def _read_mjcf(hand: HandModel) -> mujoco.MjSpec:
         for i, item in enumerate(spec.bodies if kind == "body" else spec.joints):
             item.name = item.name or f"{kind} {i}"
     return spec
-
-
-def own_options(spec: mujoco.MjSpec) -> None:
-    """Give a spec dexctl's own simulation options, every one of them, and sizes without limits."""
-    fresh = mujoco.MjSpec()
-    for name in dir(fresh.option):
-        if not name.startswith("_"):
-            setattr(spec.option, name, _OPTIONS.get(name, getattr(fresh.option, name)))
-    for name in _SIZES:
-        setattr(spec, name, getattr(fresh, name))
-
-
-_MASS_SETTINGS = ("settotalmass", "boundmass", "boundinertia", "inertiafromgeom")
-
-
-def _settle_masses(spec: mujoco.MjSpec, hand: HandModel) -> None:
-    """Write masses into the bodies where the compiler would make them up for our object too."""
-    fresh = mujoco.MjSpec().compiler
-    groups = fresh.inertiagrouprange.copy()
-    same = all(getattr(spec.compiler, n) == getattr(fresh, n) for n in _MASS_SETTINGS)
-    if same and np.array_equal(spec.compiler.inertiagrouprange, groups):
-        return
-    model = lean_model(spec, hand)
-    for body in spec.bodies[1:]:
-        i = model.body(body.name).id
-        body.explicitinertial, body.mass = True, model.body_mass[i]
-        body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
-        body.inertia = model.body_inertia[i]
-        body.fullinertia = np.full(6, np.nan)
-    for name in _MASS_SETTINGS:
-        setattr(spec.compiler, name, getattr(fresh, name))
-    spec.compiler.inertiagrouprange = groups
-
-
-_KINDS = ("geom", "joint", "actuator", "equality", "mesh", "material", "light", "camera")
-_NO_VALUES = (
-    "alt",
-    "classname",
-    "compiler",
-    "frame",
-    "id",
-    "info",
-    "parent",
-    "plugin",
-    "signature",
-)
-
-
-def _plain_defaults(spec: mujoco.MjSpec) -> None:
-    """Make MuJoCo's defaults those of all that is added from now on; what is there has its own."""
-    fresh = mujoco.MjSpec()
-    for kind in _KINDS:
-        theirs, ours = getattr(spec.default, kind), getattr(fresh.default, kind)
-        for name in dir(ours):
-            if name.startswith("_") or name in _NO_VALUES:
-                continue
-            value = getattr(ours, name)
-            choice = hasattr(type(value), "__members__")
-            if choice or isinstance(value, (int, float, np.ndarray)):
-                setattr(theirs, name, value)
-    spec.default.geom.material = ""
 
 
 def _strip(spec: mujoco.MjSpec, hand: HandModel, notes: list[str]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from dexctl.exceptions import SimulationError
 from dexctl.hand import HandModel
 from dexctl.rotations import inverse, multiply, rotate
-from dexctl.sim.hand_spec import TIMESTEP
+from dexctl.sim.file_settings import TIMESTEP
 from dexctl.sim.objects import OWN
 from dexctl.state import Floats
 

@@ -15,7 +15,8 @@ from dexctl import hands
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.hand import HandModel
 from dexctl.sim import checks
-from dexctl.sim.hand_spec import hand_spec, lean_model
+from dexctl.sim.file_settings import lean_model
+from dexctl.sim.hand_spec import hand_spec
 from dexctl.sim.moving_base import add_moving_base
 from dexctl.sim.objects import MESH, add_object
 from dexctl.sim.tactile import add_sensors

@@ -10,82 +10,10 @@ import numpy as np
 from dexctl.exceptions import SimulationError
 from dexctl.hand import HandModel
 from dexctl.sim.checks import listed
+from dexctl.sim.servo_gains import SLUGGISH, proposed_gains
 from dexctl.state import Floats
 
-BANDWIDTH = 8.0
-"""Natural frequency of a proposed servo with the joint's reflected inertia [Hz]."""
-SAG = 0.05
-"""How far gravity may pull a joint from its set-point, whichever way the hand is held [rad]."""
-PRESSING = 2.0
-"""Fingertip force [N] that a joint holds with `BEHIND` between set-point and joint."""
-BEHIND = 0.1
-"""[rad]"""
-_LEVER = 0.1  # what a turning joint does in [rad], a sliding one does in [rad] times this [m]
 _STUCK = 0.1  # friction of a joint is left out where it keeps the joint this far back [rad]
-_SLUGGISH = 0.2  # damping, where it makes the joint this slow [s]
-
-
-class ServoGains(NamedTuple):
-    """Gains of position servos, joint by joint.
-
-    Attributes:
-        stiffness: ``(d,)`` [N m/rad].
-        damping: ``(d,)`` [N m s/rad].
-        armature: what the joint's inertia lacks for the stiffness at `BANDWIDTH`: the rotor of a
-            geared motor as the joint feels it, ``(d,)`` [kg m^2].
-    """
-
-    stiffness: Floats
-    damping: Floats
-    armature: Floats
-
-
-def proposed_gains(
-    model: mujoco.MjModel, hand: HandModel, stiffness: Floats, damping: Floats
-) -> ServoGains:
-    """Gains for joints of which nothing is known but their bodies.
-
-    The stiffness is the largest of three: the joint's inertia in the middle of its range (mass
-    matrix, armature included) at `BANDWIDTH`; the torque of the finger's weight over `SAG`; the
-    torque of `PRESSING` at the fingertip over `BEHIND` (of a sliding joint in metres, a tenth of
-    these). Damping is critical, what the joint has of
-    its own taken off. A stiff joint of a light finger would ring faster than it can be simulated,
-    so its inertia is filled up with armature.
-
-    Args:
-        model: the hand, with or without actuators.
-        hand: its kinematics.
-        stiffness, damping: what is known already ``(d,)``, NaN elsewhere.
-    """
-    data = mujoco.MjData(model)
-    q = hand.posture({})
-    expand = _expansion(model, hand)
-    for name in (*hand.joint_names, *hand.couplings):
-        data.qpos[model.joint(name).qposadr[0]] = _position(hand, name, q)
-    mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    inertia = np.diag(expand.T @ full @ expand).copy()
-    weight = np.zeros((3, hand.nq))
-    bare = model.__copy__()
-    for axis in range(3):
-        bare.opt.gravity = 9.81 * np.eye(3)[axis]
-        mujoco.mj_forward(bare, data)
-        weight[axis] = data.qfrc_bias @ expand
-    tips = hand.fingertip_positions(q)
-    lever = np.linalg.norm(hand.contact_jacobian(q, tips), axis=1).max(axis=0)
-    fastest = (2 * np.pi * BANDWIDTH) ** 2
-    kinds = [int(model.joint(name).type[0]) for name in hand.joint_names]
-    unit = np.where(np.array(kinds) == int(mujoco.mjtJoint.mjJNT_SLIDE), _LEVER, 1.0)
-    held = [np.linalg.norm(weight, axis=0) / (SAG * unit), PRESSING * lever / (BEHIND * unit)]
-    wanted = np.max([inertia * fastest, *held], axis=0)
-    k = np.where(np.isnan(stiffness), wanted, stiffness)
-    armature = np.maximum(k / fastest - inertia, 0.0)
-    columns = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
-    own = np.reshape(model.dof_damping[columns], (hand.nq, -1))[:, 0]
-    own = np.where(own > _SLUGGISH * k, 0.0, own)  # which `add_servos` leaves out
-    critical = np.maximum(2 * np.sqrt(k * (inertia + armature)) - own, 0.0)
-    return ServoGains(k, np.where(np.isnan(damping), critical, damping), armature)
 
 
 def add_servos(
@@ -181,7 +109,7 @@ def _add_lacking(
         if joint.frictionloss > _STUCK * k:
             joint.frictionloss = 0.0
             freed.append(name)
-        if own > _SLUGGISH * k:
+        if own > SLUGGISH * k:
             joint.damping = np.zeros_like(joint.damping)
             freed.append(name)
         if gains.armature[j] > 0:
@@ -316,26 +244,6 @@ def _is_damper(model: mujoco.MjModel, i: int) -> bool:
     """Whether it is a velocity servo, which damps as long as nobody drives it."""
     gain, bias = model.actuator_gainprm[i], model.actuator_biasprm[i]
     return bool(gain[0] > 0 and bias[1] == 0 and np.isclose(bias[2], -gain[0]))
-
-
-def _position(hand: HandModel, joint: str, q: Floats) -> float:
-    if joint in hand.joint_names:
-        return float(q[hand.joint_names.index(joint)])
-    mimic = hand.couplings[joint]
-    master = 0.0 if mimic.master is None else q[hand.joint_names.index(mimic.master)]
-    return float(mimic.scale * master + mimic.offset)
-
-
-def _expansion(model: mujoco.MjModel, hand: HandModel) -> Floats:
-    """How the model's joints move with the d joints, ``(nv, d)``."""
-    expand = np.zeros((model.nv, hand.nq))
-    for j, name in enumerate(hand.joint_names):
-        expand[model.joint(name).dofadr[0], j] = 1.0
-    for name, mimic in hand.couplings.items():
-        if mimic.master is not None:
-            j = hand.joint_names.index(mimic.master)
-            expand[model.joint(name).dofadr[0], j] = mimic.scale
-    return expand
 
 
 def _span(values: Floats) -> str:

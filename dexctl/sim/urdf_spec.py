@@ -7,9 +7,7 @@ computed fingertips are at the same place.
 
 from __future__ import annotations
 
-import os
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
@@ -18,20 +16,17 @@ from scipy.spatial.transform import Rotation
 
 from dexctl.description import Body
 from dexctl.exceptions import SimulationError
-from dexctl.hand import HandModel, random_configurations
+from dexctl.hand import HandModel
 from dexctl.sim.checks import listed
+from dexctl.sim.inertia import LEAST_INERTIA, LEAST_MASS, mended_moments
+from dexctl.sim.urdf_meshes import find_mesh
 from dexctl.state import Floats
 
 TIP_RADIUS = 0.008
 """Radius of the sphere that a fingertip without any collision geometry gets [m]."""
-MENDED_SHARE = 0.5
-"""Up to which share of C principal moments A + B < C are mended; 1 is A = B = 0."""
 _DENSITY = 1000.0  # of links without a mass [kg/m^3]
-_LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-8  # of a link that moves and has neither [kg], [kg m^2]
-_MESHES = (".obj", ".stl", ".msh")  # what MuJoCo reads
 _RANGE = 1e-6  # half the range of a joint whose limits are equal [rad], [m]
 _VISUAL_GROUP = 2
-_POSTURES = 20  # in which links must overlap to be excluded
 
 
 class _Shape(NamedTuple):
@@ -279,11 +274,9 @@ class _Reader:
         key = (name, scale)
         if key in self._mesh_of and (self._mesh_of[key] is not None or visual):
             return self._mesh_of[key]
-        file, why = self._find(name)
+        file, why = find_mesh(self.path, name)
         factors = self._numbers(scale, 3, "mesh")
-        if file is not None:
-            why = _unreadable(file)
-        if file is None or why:
+        if file is None:
             if visual:
                 self._unread.append(name)
                 self._mesh_of[key] = None
@@ -298,30 +291,6 @@ class _Reader:
         )
         self._mesh_of[key] = own
         return own
-
-    def _find(self, name: str) -> tuple[Path | None, str]:
-        """Where a mesh is, and why it is not to be had."""
-        folder = self.path.absolute().parent
-        scheme, _, rest = name.rpartition("://")
-        if scheme in ("package", "model"):
-            package, _, inside = rest.partition("/")
-            above = (folder, *folder.parents)
-            places = [parent / rest for parent in above]
-            places += [parent / inside for parent in above if parent.name == package]
-            roots = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-            places += [Path(root) / rest for root in roots if root]
-            places += [parent / inside for parent in above[:3]]
-        else:
-            places = [folder / rest]
-        for place in places:
-            for suffix in dict.fromkeys((place.suffix, *_MESHES)):
-                found = place.with_suffix(suffix)
-                if suffix.lower() in _MESHES and found.is_file():
-                    return found, ""
-        there = next((place for place in places if place.is_file()), None)
-        if there is not None:
-            return None, f"MuJoCo reads {', '.join(_MESHES)}; convert it, and lay it beside {there}"
-        return None, f"not found; looked for {places[0]} and {len(places) - 1} more places"
 
     # ---- inertias
 
@@ -345,8 +314,8 @@ class _Reader:
             self._weightless.append(item.name)
             return
         elif mass > 0 or moves:
-            mass = max(mass, _LEAST_MASS)
-            moments, axes = np.full(3, max(_LEAST_INERTIA, mass * 1e-5)), np.eye(3)
+            mass = max(mass, LEAST_MASS)
+            moments, axes = np.full(3, max(LEAST_INERTIA, mass * 1e-5)), np.eye(3)
             self._weightless.append(item.name)
         else:
             item.explicitinertial = True  # a frame, fixed to another link
@@ -374,77 +343,13 @@ class _Reader:
         return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
     def _mend(self, moments: Floats, link: str) -> Floats:
-        """Principal moments, ascending, with the smaller two raised where A + B < C."""
-        a, b, c = np.maximum(moments, _LEAST_INERTIA * 1e-3)
-        short = (c - a - b) / c
-        if short <= 0:
-            return np.array([a, b, c])
-        if short > MENDED_SHARE or moments[0] < -1e-6 * c:
+        mended, short = mended_moments(moments)
+        if mended is None:
             raise SimulationError(
                 f"{self.path}: link {link!r} has the principal moments of inertia "
                 f"{', '.join(f'{m:.3g}' for m in moments)} kg m^2; of no body the largest is more "
                 "than the sum of the others: write those of its shape, or leave <inertia> out"
             )
-        self._mended.append(f"{link} (by {100 * short:.2g} % of C)")
-        share = (c - a - b) / 2 * (1 + 1e-9)
-        return np.array([a + share, b + share, c])
-
-
-def _unreadable(file: Path) -> str:
-    """Why MuJoCo cannot read a mesh; empty where it can."""
-    spec = mujoco.MjSpec()
-    spec.add_mesh(name="m", file=str(file), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="m")
-    try:
-        spec.compile()
-    except ValueError as error:
-        return "MuJoCo cannot read it: " + " ".join(str(error).split())
-    return ""
-
-
-def exclude_neighbours(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, notes: list[str]
-) -> None:
-    """Exclude contacts that a URDF cannot exclude by itself.
-
-    Links that one joint connects never collide with each other; neither do links that overlap
-    wherever the hand's joints are (in its middle posture and in random ones).
-    """
-    solid = [b for b in range(model.nbody) if _touches(model, b)]
-    group, above = model.body_weldid, model.body_parentid
-    pairs = set()
-    for a in solid:
-        for b in solid:
-            if group[a] == group[above[group[b]]] and group[a] != group[b]:
-                pairs.add((min(a, b), max(a, b)))
-    adjacent = len(pairs)
-    pairs |= _always_touching(model, hand) - pairs
-    for a, b in sorted(pairs):
-        spec.add_exclude(bodyname1=model.body(a).name, bodyname2=model.body(b).name)
-    if len(pairs) > adjacent:
-        notes.append(
-            f"{len(pairs) - adjacent} more pairs of links overlap in every posture: their "
-            "contacts are excluded"
-        )
-
-
-def _touches(model: mujoco.MjModel, body: int) -> bool:
-    own = model.geom_bodyid == body
-    return bool((model.geom_contype[own] | model.geom_conaffinity[own]).any())
-
-
-def _always_touching(model: mujoco.MjModel, hand: HandModel) -> set[tuple[int, int]]:
-    data = mujoco.MjData(model)
-    postures = [hand.posture({}), *random_configurations(hand, _POSTURES - 1, seed=0)]
-    found: set[tuple[int, int]] | None = None
-    for q in postures:
-        for name in hand.joint_names:
-            data.qpos[model.joint(name).qposadr[0]] = q[hand.joint_names.index(name)]
-        for name, mimic in hand.couplings.items():
-            master = 0.0 if mimic.master is None else q[hand.joint_names.index(mimic.master)]
-            data.qpos[model.joint(name).qposadr[0]] = mimic.scale * master + mimic.offset
-        mujoco.mj_fwdPosition(model, data)
-        bodies = np.sort(model.geom_bodyid[data.contact.geom], axis=1)
-        touching = {(int(a), int(b)) for a, b in bodies}
-        found = touching if found is None else found & touching
-    return found or set()
+        if short:
+            self._mended.append(f"{link} (by {100 * short:.2g} % of C)")
+        return mended

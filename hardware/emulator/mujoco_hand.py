@@ -18,7 +18,7 @@ import numpy as np
 from dexctl.exceptions import InvalidInput
 from dexctl.limits import HandLimits
 from dexctl.sim import Push, SceneConfig, Sensing, Simulation
-from dexctl.sim.hand_spec import TIMESTEP
+from dexctl.sim.file_settings import TIMESTEP
 from dexctl.state import Floats
 from hardware.emulator.dynamics import STALL_TORQUE, Joints
 from hardware.registers import OperatingMode

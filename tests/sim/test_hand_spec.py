@@ -17,7 +17,8 @@ from dexctl.exceptions import SimulationError
 from dexctl.hand import random_configurations
 from dexctl.hand_config import Coupling, HandConfig, PalmConfig, PostureConfig, ServoConfig
 from dexctl.sim import BatchSimulator, Scene
-from dexctl.sim.hand_spec import hand_spec, lean_model, propose_servos
+from dexctl.sim.file_settings import lean_model
+from dexctl.sim.hand_spec import hand_spec, propose_servos
 from dexctl.sim.visuals import visual_model
 
 PALM = '<body name="palm" childclass="dex5">'

@@ -1,0 +1,52 @@
+"""The mesh files that a URDF names."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import mujoco
+
+_MESHES = (".obj", ".stl", ".msh")  # what MuJoCo reads
+
+
+def find_mesh(urdf: Path, name: str) -> tuple[Path | None, str]:
+    """Where a mesh of a URDF is, and why it is not to be had.
+
+    Packages are looked for above the file and in ROS_PACKAGE_PATH. In the place of a file of
+    another format, one of the same name that MuJoCo can read is as good.
+    """
+    folder = urdf.absolute().parent
+    scheme, _, rest = name.rpartition("://")
+    if scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        above = (folder, *folder.parents)
+        places = [parent / rest for parent in above]
+        places += [parent / inside for parent in above if parent.name == package]
+        roots = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+        places += [Path(root) / rest for root in roots if root]
+        places += [parent / inside for parent in above[:3]]
+    else:
+        places = [folder / rest]
+    for place in places:
+        for suffix in dict.fromkeys((place.suffix, *_MESHES)):
+            found = place.with_suffix(suffix)
+            if suffix.lower() in _MESHES and found.is_file():
+                why = _unreadable(found)
+                return (None, why) if why else (found, "")
+    there = next((place for place in places if place.is_file()), None)
+    if there is not None:
+        return None, f"MuJoCo reads {', '.join(_MESHES)}; convert it, and lay it beside {there}"
+    return None, f"not found; looked for {places[0]} and {len(places) - 1} more places"
+
+
+def _unreadable(file: Path) -> str:
+    """Why MuJoCo cannot read a mesh; empty where it can."""
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="m", file=str(file), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="m")
+    try:
+        spec.compile()
+    except ValueError as error:
+        return "MuJoCo cannot read it: " + " ".join(str(error).split())
+    return ""
