@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,10 +11,10 @@ import numpy as np
 
 from dexctl.cli.checks import make_folder
 from dexctl.cli.hand_checks import HandCheck
+from dexctl.exceptions import DexctlError, SimulationError
 from dexctl.files import write_bytes, write_text
 
 if TYPE_CHECKING:
-    from dexctl.exceptions import DexctlError
     from dexctl.sim import Scene
 
 
@@ -54,9 +55,9 @@ def hand_page(
             pictures[f"the hand, stretched, {view}"] = picture
         for view, picture in hand_pictures(scene, scene.open_q).items():
             pictures[f"the hand, open, {view}"] = picture
-        pictures["the grasp" if failure is None else "the grasp that failed"] = grasp_picture(
-            scene, failure
-        )
+        what = "the grasp" if failure is None else "the attempt that came closest"
+        with suppress(SimulationError):  # it does not settle, as `failure` says
+            pictures[what] = grasp_picture(scene, failure)
     words = {True: "yes", False: "no", None: "not checked"}
     said = ["no grasp was found: " + str(failure)] if failure is not None else []
     page = report.build(

@@ -83,6 +83,7 @@ class Add:
         if self.grasp:
             try:
                 config, scene = self._with_grasp(hand, config, reasons)
+                scene.settled  # noqa: B018  as written, with its digits and its gains
             except SimulationError as error:
                 failure = error
                 console.print(f"dexctl: no grasp: {error}", markup=False)

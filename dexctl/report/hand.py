@@ -33,8 +33,9 @@ def build(
     drawn = [html.image(png(picture), what, what) for what, picture in pictures.items()]
     if drawn:
         legend = (
-            "Red balls: fingertips. Blue arrow: where the palm looks. Green arrow: where the "
-            "fingers point. If one of them is wrong, mend it in the toml."
+            "Orange: the links that fingertips are on; red balls: their points. Blue arrow: where "
+            "the palm looks. Green arrow: where the fingers point. What is wrong can be mended in "
+            "the toml."
         )
         sections.append(html.section("Pictures", html.paragraph(legend), *drawn))
     guessed = list(guesses)

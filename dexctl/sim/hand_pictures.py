@@ -10,7 +10,7 @@ from dexctl.sim.offscreen import Offscreen
 from dexctl.sim.scene import Scene
 from dexctl.sim.settle_failure import SettleFailure
 from dexctl.sim.tips import place
-from dexctl.sim.visuals import visual_model
+from dexctl.sim.visuals import colour_fingertips, fingertip_geoms, visual_model
 from dexctl.state import Floats
 
 VIEWS = {"from the side of the thumb": (-60.0, -25.0), "from above the palm": (0.0, -89.0)}
@@ -26,8 +26,8 @@ def hand_pictures(
 ) -> dict[str, NDArray[np.uint8]]:
     """The hand without its object, `VIEWS` by name, each ``(height, width, 3)``.
 
-    Fingertips are red balls; the blue arrow is where the palm looks (z), the green one where the
-    fingers point (x).
+    The bodies that fingertips are on are orange, their points red balls; the blue arrow is where
+    the palm looks (z), the green one where the fingers point (x).
 
     Args:
         scene: with the hand in it.
@@ -51,13 +51,14 @@ def hand_pictures(
     camera.lookat, camera.distance = middle, 1.8 * size
     offscreen = Offscreen(model, width, height)
     offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-    found = {}
+    bodies, found = fingertip_geoms(scene, model), {}
     try:
         for name, (azimuth, elevation) in VIEWS.items():
             camera.azimuth, camera.elevation = azimuth, elevation
             mujoco.mjv_updateScene(
                 model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, offscreen.scene
             )
+            colour_fingertips(offscreen.scene, bodies, np.ones(len(tips), bool))
             for tip in tips:
                 _ball(offscreen.scene, tip)
             for direction, colour in (((0, 0, 1), _AXIS), ((1, 0, 0), _UP)):
@@ -115,6 +116,7 @@ def grasp_picture(
     camera.lookat, camera.distance = middle, 1.3 * size
     camera.azimuth, camera.elevation = -60.0, -25.0
     offscreen = Offscreen(model, width, height)
+    offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
     try:
         mujoco.mjv_updateScene(
             model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, offscreen.scene
