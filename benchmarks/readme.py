@@ -27,6 +27,8 @@ HEADINGS = {
     "gait_batch": "A batch of hands",
     "simulator": "Simulator",
     "in_grasp": "In-grasp manipulation",
+    "reach": "The end of the reach",
+    "touch": "Without touch sensors",
     "gaits": "Gaits",
     "learned": "Learned gaits",
     "learner": "Training throughput",
