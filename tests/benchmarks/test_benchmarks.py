@@ -20,6 +20,8 @@ RUNS: dict[str, list[str]] = {
     "gait_batch.py": ["--environments", "4", "--steps", "4", "--warm-up", "1"],
     "simulator.py": ["--environments", "4", "--steps", "3", "--rounds", "2"],
     "in_grasp.py": SHORT,
+    "reach.py": [*SHORT, "--objects", "cylinder"],
+    "touch.py": [*SHORT, "--objects", "cylinder"],
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "ablation.py": [*SHORT, "--variants", "complete", "no_governor"],
     "allegro.py": SHORT,

@@ -53,4 +53,4 @@ def test_there_and_back(dex5: HandModel) -> None:
             if speed > 0:
                 there = np.asarray(state.object_position) - start
     assert 0.008 < there[0, 2] < 0.012
-    np.testing.assert_allclose(state.object_position, start, atol=2e-3)
+    np.testing.assert_allclose(np.asarray(state.object_position), start, atol=2e-3)
