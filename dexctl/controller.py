@@ -14,7 +14,13 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.saved import check_names
-from dexctl.state import Floats, GraspState
+from dexctl.state import Bools, Floats, GraspState
+from dexctl.validation import shown
+
+UNIT_TOLERANCE = 0.02
+"""Of the squared length of normals and quaternions."""
+FARTHEST = 1e3
+"""Farthest that contacts and the object may be [m], and joints [rad]; its square bounds forces."""
 
 
 class Controller(ABC):
@@ -144,7 +150,7 @@ class Superposition(Controller):
 def check_state(hand: HandModel, state: GraspState) -> None:
     """Raise InvalidInput where ``state`` is of a hand with other numbers of joints or fingers.
 
-    Whether its numbers are finite shows in the action: `check_action`.
+    Whether its numbers are right: `check_sound`.
     """
     if state.q.shape[-1] != hand.nq or state.in_contact.shape[-1] != hand.n_fingers:
         raise InvalidInput(
@@ -155,18 +161,84 @@ def check_state(hand: HandModel, state: GraspState) -> None:
         raise InvalidInput(f"state has batch shape {state.batch_shape}; expected () or (N,)")
 
 
-def check_finite(state: GraspState) -> None:
-    """Raise InvalidInput where what a controller may read of ``state`` is not finite.
+def check_sound(hand: HandModel, state: GraspState) -> None:
+    """Raise InvalidInput where ``state`` would move a motor wrongly.
 
-    For controllers whose action need not show it. Rows of fingers out of touch are not read.
+    What a controller may read is finite, normals and the object's quaternion are of unit length,
+    and nothing is farther than a kilometre. Rows of fingers out of touch are not read.
     """
-    touch = state.contact_force + (state.contact_position + state.contact_normal).sum(axis=-1)
-    total = (state.q + state.q_target).sum(axis=-1)
-    total = total + np.where(state.in_contact, touch, 0.0).sum(axis=-1)
-    for pose in (state.object_position, state.object_quaternion):
-        if pose is not None:
-            total = total + pose.sum(axis=-1)
-    check_action(total[..., None])
+    normal, point = state.contact_normal, state.contact_position
+    square = np.einsum("...i,...i->...", normal, normal)
+    far = np.einsum("...i,...i->...", point, point)
+    # comparisons with NaN are false
+    good = np.abs(square - 1.0) <= UNIT_TOLERANCE
+    good &= far + np.abs(state.contact_force) <= FARTHEST**2
+    good |= ~state.in_contact
+    size = np.einsum("...i,...i->...", state.q, state.q)
+    size = size + np.einsum("...i,...i->...", state.q_target, state.q_target)
+    if state.object_position is not None:
+        size += np.einsum("...i,...i->...", state.object_position, state.object_position)
+    right = good.all() and (size <= FARTHEST**2).all()
+    if right and state.object_quaternion is not None:
+        quaternion = state.object_quaternion
+        length = np.einsum("...i,...i->...", quaternion, quaternion)
+        right = (np.abs(length - 1.0) <= UNIT_TOLERANCE).all()
+    if not right:
+        refuse(hand, state)
+
+
+def refuse(hand: HandModel, state: GraspState) -> None:
+    """Raise InvalidInput that names what `check_sound` found; nothing where all is well."""
+    touch = state.in_contact
+    with np.errstate(over="ignore", invalid="ignore"):
+        for name in ("q", "q_target", "object_position", "object_quaternion"):
+            value = getattr(state, name)
+            if value is not None:
+                _refuse_rows(name, value, ~np.isfinite(value).all(axis=-1))
+        fingers = [f"finger {name!r}" for name in hand.fingertip_names]
+        for name in ("contact_position", "contact_normal", "contact_force"):
+            value = getattr(state, name)
+            finite = np.isfinite(value if value.ndim == touch.ndim else value.sum(axis=-1))
+            _refuse_rows(name, value, touch & ~finite, fingers)
+        length = np.linalg.norm(state.contact_normal, axis=-1)
+        wrong = touch & ~(np.abs(length**2 - 1.0) <= UNIT_TOLERANCE)
+        _refuse_rows("contact_normal", state.contact_normal, wrong, fingers, "of unit length")
+        for name, value in (
+            ("contact_position", np.linalg.norm(state.contact_position, axis=-1)),
+            ("contact_force", np.sqrt(np.abs(state.contact_force))),
+        ):
+            within = f"within {FARTHEST if name == 'contact_position' else FARTHEST**2:g}"
+            over = touch & ~(value <= 0.7 * FARTHEST)
+            _refuse_rows(name, getattr(state, name), over, fingers, within)
+        for name in ("q", "q_target", "object_position"):
+            value = getattr(state, name)
+            if value is not None:
+                over = np.linalg.norm(value, axis=-1) > 0.5 * FARTHEST
+                _refuse_rows(name, value, over, (), f"within {FARTHEST:g}")
+        if state.object_quaternion is not None:
+            length = np.linalg.norm(state.object_quaternion, axis=-1)
+            wrong = ~(np.abs(length**2 - 1.0) <= UNIT_TOLERANCE)
+            _refuse_rows("object_quaternion", state.object_quaternion, wrong, (), "of unit length")
+
+
+def _refuse_rows(
+    name: str,
+    value: Floats,
+    wrong: Bools,
+    fingers: Sequence[str] = (),
+    expected: str = "finite",
+) -> None:
+    """Raise InvalidInput where a row of ``value`` is wrong; names the environments, the finger."""
+    wrong = np.asarray(wrong)
+    if not wrong.any():
+        return
+    at = tuple(np.argwhere(wrong)[0])
+    batch = wrong.any(axis=-1) if fingers else wrong
+    where = f" in environments {np.flatnonzero(batch)[:8].tolist()}" if batch.ndim else ""
+    whose = f" of {fingers[at[-1]]}" if fingers else ""
+    raise InvalidInput(
+        f"the state is not {expected}{where}: {name}{whose} is {shown(value[at].tolist())}"
+    )
 
 
 def check_action(action: Floats) -> Floats:

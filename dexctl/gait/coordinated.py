@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_action, check_state
+from dexctl.controller import Controller, check_action, check_sound, check_state
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.selection import Grasps, choose, holds_without
 from dexctl.grasp.odometry import ContactOdometry
@@ -191,6 +191,7 @@ class CoordinatedGait(Controller):
             InvalidInput: nothing tracks the object, or another number of hands is at work.
         """
         check_state(self.hand, state)
+        check_sound(self.hand, state)
         if state.object_position is None or state.object_quaternion is None:
             raise InvalidInput("the state has no pose of the object; expected a tracked object")
         self.in_grasp.refer_to(state.object_position, state.object_quaternion)
@@ -232,6 +233,7 @@ class CoordinatedGait(Controller):
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
+        check_sound(self.hand, state)
         if state.batch_shape:
             return self._act(state)
         action = self._act(state[None])[0]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_action, check_state
+from dexctl.controller import Controller, check_action, check_sound, check_state
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.selection import Grasps, holds_without
 from dexctl.hand import HandModel
@@ -98,6 +98,7 @@ class Macro(Controller):
                 object that nothing tracks.
         """
         check_state(self.hand, state)
+        check_sound(self.hand, state)
         count = len(state.q)
         wanted = np.asarray(twist, float)
         chosen = np.full(count, -1) if finger is None else np.asarray(finger)
@@ -126,6 +127,7 @@ class Macro(Controller):
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
+        check_sound(self.hand, state)
         if not state.batch_shape:
             action = self._act(state[None])[0]
             self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}

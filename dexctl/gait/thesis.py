@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_action, check_state
+from dexctl.controller import Controller, check_action, check_sound, check_state
 from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 from dexctl.state import Floats, GraspState
@@ -98,6 +98,7 @@ class FingerGaiting(Controller):
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
+        check_sound(self.hand, state)
         self.profile.begin(state)
         switching, finger = self.profile.switching, self.profile.finger
         moved = self.profile.act(state)

@@ -13,6 +13,7 @@ from numba import njit, types
 TOLERANCE = 1e-9  # on variables, as in dexctl.grasp.box_qp
 ROUNDS = 300  # as there
 TIE, LOST, DUAL = 1e-11, 4e-15, 1e-15  # as in dexctl.grasp.stability_solver
+UNIT_TOLERANCE, FARTHEST = 0.02, 1e3  # as in dexctl.controller
 SHORTEST = 1e-3  # floor of the characteristic length [m]
 FREE, LOWER, UPPER = 0, -1, 1
 
@@ -302,6 +303,32 @@ _B1, _B2 = (_read(types.boolean, n) for n in (1, 2))
 _HAND_AND_CONTACTS = (_F4, _F3, _I2, _I1, _F2, _F2, _B2, _B2, _F3, _F3, _F2)
 _OBJECT_AND_WANTED = (_F2, _F2, _F2, _F2, _B1, _F2, _F2, _F2)
 _SETTINGS = (_F1, types.UniTuple(types.float64, 16), _F2)
+
+
+@_compiled((_F1, _F1, _F2, _F2, _F1, _B1, _F1, _F1))
+def sound(q, q_target, position, normal, force, touch, object_position, quaternion):
+    """Whether the state of one hand moves no motor wrongly: see `dexctl.controller.check_sound`."""
+    size = 0.0
+    for i in range(len(q)):
+        size += q[i] ** 2 + q_target[i] ** 2
+    for c in range(3):
+        size += object_position[c] ** 2
+    if not size <= FARTHEST**2:
+        return False
+    square = 0.0
+    for c in range(4):
+        square += quaternion[c] ** 2
+    if not abs(square - 1.0) <= UNIT_TOLERANCE:
+        return False
+    for i in range(len(touch)):
+        if touch[i]:
+            square, far = 0.0, abs(force[i])
+            for c in range(3):
+                square += normal[i, c] ** 2
+                far += position[i, c] ** 2
+            if not (abs(square - 1.0) <= UNIT_TOLERANCE and far <= FARTHEST**2):
+                return False
+    return True
 
 
 @_compiled((*_HAND_AND_CONTACTS, *_OBJECT_AND_WANTED, *_SETTINGS))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from dexctl.controller import check_sound, refuse
 from dexctl.hand import HandModel
-from dexctl.igm.compiled import in_grasp_step
+from dexctl.igm.compiled import in_grasp_step, sound
 from dexctl.igm.config import InGraspManipulationConfig
 from dexctl.igm.step import StepInput, StepResult
-from dexctl.state import Floats
+from dexctl.state import Floats, GraspState
 
 
 class CompiledStep:
@@ -28,6 +29,7 @@ class CompiledStep:
         axis: Floats,
         control_period: float,
     ) -> None:
+        self._hand = hand
         self._axis = np.ascontiguousarray(axis)
         self._joints = np.ascontiguousarray(hand.finger_joints)
         self._counts = np.ascontiguousarray(hand.moves.sum(axis=1))
@@ -51,6 +53,22 @@ class CompiledStep:
             float(config.reach_margin),
             float(config.link_limit),
         )
+
+    def check(self, state: GraspState) -> None:
+        """Raise InvalidInput where ``state`` would move a motor wrongly; see `check_sound`."""
+        if state.batch_shape or state.object_position is None or state.object_quaternion is None:
+            check_sound(self._hand, state)
+        elif not sound(
+            state.q,
+            state.q_target,
+            state.contact_position,
+            state.contact_normal,
+            state.contact_force,
+            state.in_contact,
+            state.object_position,
+            state.object_quaternion,
+        ):
+            refuse(self._hand, state)
 
     def __call__(self, step: StepInput) -> StepResult:
         """One step of every hand."""

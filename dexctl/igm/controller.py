@@ -156,16 +156,17 @@ class InGraspManipulation(Controller):
         self._odometry = odometry
 
     def act(self, state: GraspState) -> Floats:
+        check_state(self.hand, state)
+        self._step.check(state)
         return self.command(state, _ALL)
 
     def command(
         self, state: GraspState, share: Share, hand_now: HandConfiguration | None = None
     ) -> Floats:
-        """As `act`, with part of the hand left to another controller.
+        """As `act`, with part of the hand left to another controller, which has checked ``state``.
 
         ``hand_now`` is the hand's configuration at ``state.q``, where the caller has it already.
         """
-        check_state(self.hand, state)
         single = not state.batch_shape
         count = 1 if single else len(state.q)
         self._reference.meet(count)

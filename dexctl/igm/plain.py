@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dexctl.controller import check_sound
 from dexctl.hand import HandModel
 from dexctl.igm.config import InGraspManipulationConfig
 from dexctl.igm.inverse import ContactInverse
@@ -12,7 +13,7 @@ from dexctl.igm.stability import push_directions, stable_forces
 from dexctl.igm.step import StepInput, StepResult
 from dexctl.limits import SetPointLimits
 from dexctl.rotations import cross, rotate
-from dexctl.state import Bools, Floats
+from dexctl.state import Bools, Floats, GraspState
 
 
 class PlainStep:
@@ -39,6 +40,10 @@ class PlainStep:
         self._inverse = ContactInverse(hand, config.damping)
         self._reach = Reach(hand, config)
         self._limits = SetPointLimits(hand, config.max_joint_speed, config.max_lead, control_period)
+
+    def check(self, state: GraspState) -> None:
+        """Raise InvalidInput where ``state`` would move a motor wrongly; see `check_sound`."""
+        check_sound(self._hand, state)
 
     def __call__(self, step: StepInput) -> StepResult:
         """One step of every hand."""

@@ -26,6 +26,10 @@ _SAVED = (
 )  # fmt: skip
 
 
+_ELSEWHERE: list[Rollout] = []
+"""Pools of the parent process; to delete one would wait for threads that are not here."""
+
+
 class BatchSimulator:
     """N scenes of one hand and object behind the `Plant` interface.
 
@@ -101,6 +105,7 @@ class BatchSimulator:
         wanted = checks.count(
             "threads", min(cores or 1, self._count) if threads is None else threads
         )
+        self._pool_process = os.getpid() if wanted > 1 else None
         # one thread: no pool, the caller's thread steps
         self._rollout: Rollout | None = Rollout(nthread=wanted if wanted > 1 else 0)
         self._data = [mujoco.MjData(self.scene.model) for _ in range(wanted)]
@@ -108,6 +113,11 @@ class BatchSimulator:
     def _pool(self) -> Rollout:
         if self._rollout is None:
             raise SimulationError("the simulator is closed")
+        if self._forked():
+            raise SimulationError(
+                f"the simulator's threads are in process {self._pool_process}, of which this one "
+                f"({os.getpid()}) is a fork; make a simulator here, or start processes by spawn"
+            )
         return self._rollout
 
     def _allocate(self) -> None:
@@ -523,8 +533,15 @@ class BatchSimulator:
     def close(self) -> None:
         """Stop the threads; the simulator cannot be stepped any more."""
         if self._rollout is not None:
-            self._rollout.close()
+            if self._forked():  # nobody here could end the threads, nor wait for them
+                _ELSEWHERE.append(self._rollout)
+            else:
+                self._rollout.close()
             self._rollout = None
+
+    def _forked(self) -> bool:
+        """Whether the pool's threads stayed in the process that this one was forked from."""
+        return self._pool_process not in (None, os.getpid())
 
     def __enter__(self) -> BatchSimulator:
         return self

@@ -8,7 +8,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_action, check_finite, check_state
+from dexctl.controller import Controller, check_action, check_sound, check_state
 from dexctl.exceptions import InvalidInput
 from dexctl.grasp import is_force_closure
 from dexctl.grasp.odometry import ContactOdometry
@@ -67,7 +67,7 @@ class ContactSwitch(Controller):
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
-        check_finite(state)
+        check_sound(self.hand, state)
         action, self._diagnostics = self._part.act(state)
         return check_action(action)
 
