@@ -18,6 +18,7 @@ assert spec is not None and spec.loader is not None
 attack = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(attack)
 
+kernel: Any = grasp  # what is wrong here is wrong on purpose
 OUT = np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0], [0, 0, 1.0]])
 OUT /= np.linalg.norm(OUT, axis=1, keepdims=True)
 TOUCH = np.ones(4, bool)
@@ -60,34 +61,34 @@ def empty(*shape):
 def test_batches_and_hands_of_nothing(shape, model):
     batch, m = shape[:-1], shape[-1]
     contacts: Any = empty(*shape)
-    assert grasp.isotropy(*contacts, model=model).shape == batch
-    assert grasp.smallest_singular_value(*contacts, model=model).shape == batch
-    assert grasp.epsilon_quality(*contacts, 0.5, model=model).shape == batch
-    assert grasp.is_force_closure(*contacts, 0.5, model=model).shape == batch
-    held = grasp.grasp_forces(
+    assert kernel.isotropy(*contacts, model=model).shape == batch
+    assert kernel.smallest_singular_value(*contacts, model=model).shape == batch
+    assert kernel.epsilon_quality(*contacts, 0.5, model=model).shape == batch
+    assert kernel.is_force_closure(*contacts, 0.5, model=model).shape == batch
+    held = kernel.grasp_forces(
         *contacts, 0.5, np.ones(6), model=model, jacobian=np.zeros((*shape, 3, 2)), effort=[1, 1]
     )
     assert held.forces.shape == (*shape, 3) and held.feasible.shape == batch
     assert held.torques is not None and held.torques.shape == (*batch, 2)
     assert not held.feasible.any() and (held.violation > 0).all()
-    checked = grasp.check_static(*contacts, 0.5, external_wrench=np.ones(6), model=model)
+    checked = kernel.check_static(*contacts, 0.5, external_wrench=np.ones(6), model=model)
     assert checked.stable.shape == batch
     for rho in (0.0, 1e-3):
-        forces = grasp.stability_forces(*contacts, regulariser=rho)
+        forces = kernel.stability_forces(*contacts, regulariser=rho)
         assert forces.forces.shape == shape and forces.held.shape == batch
     columns = {"hard": 3, "soft": 4}[model] * m
-    assert grasp.grasp_map(*contacts[:1], np.zeros(3), normal=contacts[1], model=model).shape == (
+    assert kernel.grasp_map(*contacts[:1], np.zeros(3), normal=contacts[1], model=model).shape == (
         *batch, 6, columns,
     )  # fmt: skip
 
 
 FUNCTIONS = {
-    "stability": lambda *c: grasp.stability_forces(*c, regulariser=1e-3),
-    "stability, no regulariser": lambda *c: grasp.stability_forces(*c),
-    "closure": lambda *c: grasp.is_force_closure(*c, 0.5),
-    "isotropy": lambda *c: grasp.isotropy(*c),
-    "epsilon": lambda *c: grasp.epsilon_quality(*c, 0.5),
-    "forces": lambda *c: grasp.grasp_forces(*c, 0.5, np.ones(6)),
+    "stability": lambda *c: kernel.stability_forces(*c, regulariser=1e-3),
+    "stability, no regulariser": lambda *c: kernel.stability_forces(*c),
+    "closure": lambda *c: kernel.is_force_closure(*c, 0.5),
+    "isotropy": lambda *c: kernel.isotropy(*c),
+    "epsilon": lambda *c: kernel.epsilon_quality(*c, 0.5),
+    "forces": lambda *c: kernel.grasp_forces(*c, 0.5, np.ones(6)),
 }
 
 
@@ -131,13 +132,13 @@ def test_lengths_far_below_the_distances(ratio, rho):
     length = 0.05 / ratio
     arguments = dict(length=length, regulariser=rho, min_force=0.1)
     if ratio > 1e6:
-        for function in (grasp.stability_forces, grasp.isotropy, grasp.smallest_singular_value):
-            options: Any = arguments if function is grasp.stability_forces else {"length": length}
+        for function in (kernel.stability_forces, kernel.isotropy, kernel.smallest_singular_value):
+            options: Any = arguments if function is kernel.stability_forces else {"length": length}
             with pytest.raises(InvalidInput, match="length is .*expected"):
                 function(position, normal, touch, origin, **options)
         return
-    one = grasp.stability_forces(position, normal, touch, origin, **arguments)
-    many = grasp.stability_forces(
+    one = kernel.stability_forces(position, normal, touch, origin, **arguments)
+    many = kernel.stability_forces(
         np.stack([position] * 3), np.stack([normal] * 3), [touch] * 3, origin, **arguments
     )
     np.testing.assert_allclose(many.forces, [one.forces] * 3, atol=1e-7)
@@ -155,23 +156,23 @@ def test_lengths_far_below_the_distances(ratio, rho):
 @pytest.mark.parametrize(
     ("function", "options", "message"),
     [
-        (grasp.stability_forces, {"regulariser": 1e7}, "regulariser is 1.*; expected 0, or"),
-        (grasp.stability_forces, {"regulariser": "x"}, "regulariser is 'x'"),
-        (grasp.stability_forces, {"regulariser": 1j}, "regulariser is 1j"),
-        (grasp.stability_forces, {"min_force": None}, "min_force is None"),
-        (grasp.stability_forces, {"max_force": [1j] * 4}, "max_force is not an array of numbers"),
-        (grasp.stability_forces, {"length": 1j}, "length is not an array of numbers"),
-        (grasp.is_force_closure, {"friction": 1e300}, "friction is 1e.300"),
-        (grasp.is_force_closure, {"friction": 1j}, "friction is not an array of numbers"),
-        (grasp.is_force_closure, {"friction": 1, "edges": 10**6}, "edges is 1000000"),
-        (grasp.is_force_closure, {"friction": 1, "edges": "8"}, "edges is '8'"),
-        (grasp.is_force_closure, {"friction": 1, "model": "soft", "torsion": 1e300}, "torsion is"),
-        (grasp.is_force_closure, {"friction": 1, "model": "soft", "torsion": "x"}, "torsion is"),
-        (grasp.epsilon_quality, {"friction": 1, "edges": 64}, "edges is 64; expected at most 32"),
-        (grasp.grasp_forces, {"friction": 1, "external_wrench": 1e300 * np.ones(6)}, "external"),
-        (grasp.grasp_forces, {"friction": 1, "external_wrench": 1j * np.ones(6)}, "external"),
+        (kernel.stability_forces, {"regulariser": 1e7}, "regulariser is 1.*; expected 0, or"),
+        (kernel.stability_forces, {"regulariser": "x"}, "regulariser is 'x'"),
+        (kernel.stability_forces, {"regulariser": 1j}, "regulariser is 1j"),
+        (kernel.stability_forces, {"min_force": None}, "min_force is None"),
+        (kernel.stability_forces, {"max_force": [1j] * 4}, "max_force is not an array of numbers"),
+        (kernel.stability_forces, {"length": 1j}, "length is not an array of numbers"),
+        (kernel.is_force_closure, {"friction": 1e300}, "friction is 1e.300"),
+        (kernel.is_force_closure, {"friction": 1j}, "friction is not an array of numbers"),
+        (kernel.is_force_closure, {"friction": 1, "edges": 10**6}, "edges is 1000000"),
+        (kernel.is_force_closure, {"friction": 1, "edges": "8"}, "edges is '8'"),
+        (kernel.is_force_closure, {"friction": 1, "model": "soft", "torsion": 1e300}, "torsion is"),
+        (kernel.is_force_closure, {"friction": 1, "model": "soft", "torsion": "x"}, "torsion is"),
+        (kernel.epsilon_quality, {"friction": 1, "edges": 64}, "edges is 64; expected at most 32"),
+        (kernel.grasp_forces, {"friction": 1, "external_wrench": 1e300 * np.ones(6)}, "external"),
+        (kernel.grasp_forces, {"friction": 1, "external_wrench": 1j * np.ones(6)}, "external"),
         (
-            grasp.grasp_forces,
+            kernel.grasp_forces,
             {"friction": 1, "external_wrench": np.ones(6), "max_normal": "x"},
             "max_normal is 'x'",
         ),
@@ -187,18 +188,18 @@ def test_models_and_hands_that_are_none(dex5):
     wrong: list[Any] = ["wet", None, ["hard"], np.zeros(3)]
     for model in wrong:
         with pytest.raises(UnknownName, match="unknown contact model"):
-            grasp.is_force_closure(*POSED, 0.5, model=model)
+            kernel.is_force_closure(*POSED, 0.5, model=model)
         with pytest.raises(UnknownName, match="unknown contact model"):
-            grasp.grasp_map(POSED[0], np.zeros(3), model=model)
+            kernel.grasp_map(POSED[0], np.zeros(3), model=model)
     point = np.zeros((5, 3))
     with pytest.raises(InvalidInput, match="hand is 'dex5'; expected a HandModel"):
-        grasp.hand_jacobian("dex5", np.zeros(15), point)  # type: ignore[arg-type]
+        kernel.hand_jacobian("dex5", np.zeros(15), point)
     for q in (np.full(15, np.nan), np.full(15, 1e300), np.full(15, 1j)):
         with pytest.raises(InvalidInput, match="^q is"):
-            grasp.hand_jacobian(dex5, q, point)
+            kernel.hand_jacobian(dex5, q, point)
     point[2] = np.nan
     with pytest.raises(InvalidInput, match=r"contact_position\[2\] is not finite, or over"):
-        grasp.hand_jacobian(dex5, np.zeros(15), point)
+        kernel.hand_jacobian(dex5, np.zeros(15), point)
     for normal in (np.zeros(2), 1.0, np.full(3, np.nan), np.full(3, 1e160), "x"):
         with pytest.raises(InvalidInput, match="^normal "):
-            grasp.tangent_basis(normal)
+            kernel.tangent_basis(normal)
