@@ -6,12 +6,14 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from dexctl.exceptions import InvalidInput
+from hardware import port
 from hardware.bus import Bus
 from hardware.exceptions import BusError
 from hardware.readings import Ping
 
-BAUD_RATES = (4_000_000, 57_600, 1_000_000, 3_000_000, 2_000_000, 115_200, 9_600)
-"""In the order in which they are tried: hands run at the first, new servos at the second."""
+_USUAL = (4_000_000, 57_600, 1_000_000)  # of hands, of new servos, of many other robots
+BAUD_RATES = (*_USUAL, *(rate for rate in reversed(port.BAUD_RATES) if rate not in _USUAL))
+"""In the order in which they are tried."""
 
 
 class Found(NamedTuple):
@@ -41,10 +43,10 @@ def discover(
         BusError: no port could be opened.
     """
     rates, refused = list(baudrates), ""
-    for port in ports:
+    for device in ports:
         for baudrate in rates:
             try:
-                with Bus(port, [1], baudrate=baudrate, timeout=timeout) as bus:
+                with Bus(device, [1], baudrate=baudrate, timeout=timeout) as bus:
                     heard = bus.everyone()
                     if not heard and not bus.statistics.bytes_received:
                         continue
@@ -53,7 +55,7 @@ def discover(
                 refused = str(error)
                 break  # of this port
             if servos:
-                return Found(port, baudrate, servos)
+                return Found(device, baudrate, servos)
     if refused and len(ports) == 1:
         raise BusError(refused)
     raise InvalidInput(
@@ -63,10 +65,10 @@ def discover(
     )
 
 
-def find_baudrate(port: str, ids: Sequence[int], timeout: float = 0.01) -> int | None:
+def find_baudrate(device: str, ids: Sequence[int], timeout: float = 0.01) -> int | None:
     """The speed at which one of the first servos answers; None if at none of them."""
     for baudrate in BAUD_RATES:
-        with Bus(port, ids, baudrate=baudrate, timeout=timeout) as bus:
+        with Bus(device, ids, baudrate=baudrate, timeout=timeout) as bus:
             if bus.scan(ids[:3]):
                 return baudrate
     return None

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from dexctl.exceptions import InvalidInput, UnknownName
 from hardware import registers as R  # noqa: N812 (a table of names)
 from hardware.registers import OperatingMode, Register
-from hardware.units import LoopScale
+from hardware.units import TORQUE_CONSTANT, LoopScale
 
 MILLIAMPERE = 1e-3
 RPM = 2 * math.pi / 60
@@ -139,7 +139,7 @@ PRESENT_LOAD = Register("present_load", 126, 2, True, 1e-3, "of full torque", Fa
 XM430_W210 = ServoModel(
     name="XM430-W210",
     number=R.MODEL_NUMBER,
-    torque_constant=1.3,  # 3.0 N m at 2.3 A
+    torque_constant=TORQUE_CONSTANT,  # 3.0 N m at 2.3 A
     stall_torque=3.0,
     no_load_speed=77 * RPM,
     supply=12.0,
