@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +15,7 @@ from dexctl.cli.parsing import Switch
 from dexctl.cli.trials import check_viz, describe, scene_of, simulation
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.settings import NESTED
-from dexctl.sim import GraspStates, SceneConfig
+from dexctl.sim import GraspStates, SceneConfig, SettleFailure
 
 if TYPE_CHECKING:
     from dexctl.sim import Simulation
@@ -57,7 +58,12 @@ class CheckGrasp:
         config = replace(self.scene, initial_states=None)
         if states is not None or count == 1:
             config = replace(config, disturbance=0.0)
-        with simulation(config, count, self.seed) as sim:
+        try:
+            held = simulation(config, count, self.seed)
+        except SettleFailure as failure:
+            self._explain(failure, folder)
+            raise
+        with held as sim:
             if states is not None:
                 sim.place(states, np.arange(count))
             if not self.json:
@@ -75,6 +81,48 @@ class CheckGrasp:
         else:
             self._print(found)
         return 0 if all(found["static"]["stable"]) and all(found["dynamic"]["stable"]) else 1
+
+    def _explain(self, failure: SettleFailure, folder: Path | None) -> None:
+        """What was tried where nothing holds: on the terminal, and in the folder with a picture."""
+        console, names = notes(), failure.scene.hand.fingertip_names
+        failure.__notes__.clear()  # this is the command that they point to
+        alike = Counter((one.how, one.reason) for one in failure.attempts)
+        shown = table("tried", "fingers", "what came of it")
+        for (how, reason), times in alike.items():
+            shown.add_row(f"{times} x", how, reason)
+        console.print(shown)
+        if failure.closest is not None and not np.isnan(failure.closest.gap).all():
+            gaps = zip(names, (1000 * failure.closest.gap).round(1) + 0.0, strict=True)
+            far = ", ".join(f"{name} {gap:g}" for name, gap in gaps)
+            console.print(
+                f"from touching, in the attempt that came closest [mm]: {far}", markup=False
+            )
+        if folder is None:
+            return
+        from dexctl.files import write_text
+        from dexctl.sim import draw_failure
+
+        found = {
+            "command": "check-grasp",
+            "held": False,
+            "error": str(failure),
+            "advice": failure.advice,
+            "fingers": names,
+            "attempts": [
+                {
+                    "fingers": one.how,
+                    "turned_rad": one.yaw,
+                    "reason": one.reason,
+                    "from_touching_m": one.gap,
+                }
+                for one in failure.attempts
+            ],
+        }
+        write_text(folder / "check-grasp.json", to_json(found) + "\n")
+        try:
+            draw_failure(failure, folder / "not_held.png")
+        except SimulationError as error:
+            console.print(f"no picture: {error}", markup=False)
 
     def _states(self) -> GraspStates | None:
         """Those of the file that are of the object, as many as are wanted."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dexctl import controllers
+from dexctl.cli.output import notes
 from dexctl.exceptions import InvalidInput, MissingExtra, SimulationError
 from dexctl.settings import to_plain
 from dexctl.validation import unit_axis
@@ -27,13 +28,20 @@ def simulation(
 
     Raises:
         UnknownName, InvalidInput: an option is wrong.
-        SimulationError: the hand cannot hold the object.
+        SettleFailure: the hand cannot hold the object.
     """
     if len(config.object) != 1:
         raise InvalidInput(f"--object is {' '.join(config.object)}; this command takes one object")
-    from dexctl.sim import Simulation
+    from dexctl.sim import SettleFailure, Simulation
 
-    return Simulation(config, num_envs, seed, hand=hand)
+    try:
+        found = Simulation(config, num_envs, seed, hand=hand)
+    except SettleFailure as failure:
+        failure.add_note("`dexctl check-grasp --out DIR` says what was tried, and draws it")
+        raise
+    for note in scene_of(found).notes:
+        notes().print(note, style="dim", markup=False)
+    return found
 
 
 def scene_of(sim: Simulation) -> Scene:
@@ -52,6 +60,7 @@ def describe(config: SceneConfig, scene: Scene) -> dict[str, Any]:
         "object_mass_kg": scene.object_mass,
         "friction": scene.friction(),
         "control_period_s": config.control_period,
+        "notes": list(scene.notes),
         "scene": to_plain(config),
     }
 

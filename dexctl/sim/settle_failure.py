@@ -82,6 +82,14 @@ class SettleFailure(SimulationError):
         reasons = " ".join(one.reason for one in self.attempts)
         if "more of the hand" in reasons:
             return "a smaller object_size or a grasp_centre further from the palm keeps links clear"
+        scene = self.scene
+        weight = scene.object_mass * float(np.linalg.norm(scene.gravity))
+        most = scene.friction() * scene.grip * scene.hand.n_fingers
+        if weight > most:
+            return (
+                f"it weighs {weight:.1f} N, and {scene.hand.n_fingers} fingers pressing with "
+                f"{scene.grip:g} N carry {most:.1f} N by friction: less object_mass, or more grip"
+            )
         return (
             "every fingertip reaches it: a lighter object, more friction, another grip, or the "
             "grasp_centre and object_size of Scene.suggest_grasp may hold"

@@ -127,6 +127,21 @@ def test_check_grasp() -> None:
     assert sum(finger["force_n"][0] for finger in found["fingers"]) > 5
 
 
+def test_check_grasp_says_what_was_tried(tmp_path: Path) -> None:
+    """A sphere that no friction of this grip can carry."""
+    done = dexctl_command(
+        "check-grasp", "--object", "sphere", "--object-mass", "20", "--out", str(tmp_path)
+    )
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.strip().splitlines()[-1].startswith("dexctl: dex5 does not hold 'sphere'")
+    assert "it weighs 196.2 N, and 5 fingers pressing with 2 N carry 10.0 N" in done.stderr
+    assert "11 x" in done.stderr and "from touching" in done.stderr
+    found = json.loads((tmp_path / "check-grasp.json").read_text())
+    assert found["held"] is False and len(found["attempts"]) >= 11
+    assert set(found["fingers"]) == {f"f{i}_tip" for i in range(1, 6)}
+    assert (tmp_path / "not_held.png").is_file() or "no picture" in done.stderr
+
+
 def test_check_grasp_fails_where_the_grasp_does() -> None:
     done = dexctl_command("check-grasp", "--push-force", "30", "--num-envs", "2", "--json")
     assert done.returncode == 1, done.stderr
