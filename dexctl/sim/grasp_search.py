@@ -101,6 +101,7 @@ class GraspSearch:
         centre: where it is held ``(3,)`` [m], or None to be found.
         base: posture of the joints of fingers that are left out ``(d,)`` [rad].
         torque: of each joint ``(d,)`` [N m], infinite where unknown.
+        stiffness: of each joint's servo ``(d,)`` [N m/rad].
         grip: normal force of a finger [N].
         friction: coefficient between fingertips and object.
         weight: of the object [N].
@@ -114,6 +115,7 @@ class GraspSearch:
     centre: Floats | None
     base: Floats
     torque: Floats
+    stiffness: Floats
     grip: float
     friction: float = 1.0
     weight: float = 1.0

@@ -110,6 +110,7 @@ def _search(scene: Scene) -> GraspSearch:
         centre=scene.grasp_centre,
         base=scene.open_q,
         torque=hand.effort,
+        stiffness=scene.stiffness,
         grip=scene.grip,
         friction=scene.friction(),
         weight=scene.object_mass * float(np.linalg.norm(scene.gravity)),

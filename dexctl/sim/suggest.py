@@ -30,7 +30,9 @@ from dexctl.sim.tactile import TouchSensors
 from dexctl.sim.workspace import Workspace
 from dexctl.state import Floats
 
-_HOLDING_TIME = 2.0  # after it has settled [s]
+HOLDING_TIME = 10.0
+"""How long a suggested grasp is to hold after it has settled [s]."""
+_LOOK = 0.5  # how often it is looked at in that time [s]
 _DRIFT = 0.01  # of the object in that time, at most [m]
 _OPENING = 0.03  # the open fingertips are so far from the object [m]
 _FAR = (0.0, 0.0, 10.0)  # where the object is out of the way [m]
@@ -49,7 +51,8 @@ class SuggestedGrasp(NamedTuple):
         grasp_q: the hand about to touch it, ``(d,)`` [rad].
         fingers: names of the fingertips that hold it.
         score: how good it is by the kernel, with its parts.
-        held_up, held_down: whether it held, palm up and palm down; None: not tried.
+        time_up, time_down: for how long it held, palm up and palm down, of 10 s with nothing but
+            the set-points held; 0: it did not settle [s].
     """
 
     object: str
@@ -60,14 +63,23 @@ class SuggestedGrasp(NamedTuple):
     grasp_q: Floats
     fingers: tuple[str, ...]
     score: GraspScore
-    held_up: bool | None
-    held_down: bool | None
+    time_up: float
+    time_down: float
+
+    @property
+    def held_up(self) -> bool:
+        """Whether it held to the end, palm up."""
+        return self.time_up >= HOLDING_TIME
+
+    @property
+    def held_down(self) -> bool:
+        """Whether it held to the end, palm down."""
+        return self.time_down >= HOLDING_TIME
 
     @property
     def note(self) -> str:
         """What was chosen, in one line."""
-        held = {(True, True): "palm up and palm down", (True, False): "palm up only"}
-        how = held.get((bool(self.held_up), bool(self.held_down)), "palm down only")
+        how = f"for {self.time_up:g} s palm up and {self.time_down:g} s palm down"
         size = f" {1000 * self.size:.0f} mm wide" if self.size else ""
         return (
             f"grasp suggested: {self.object}{size} at {self.centre.round(4).tolist()}, held by "
@@ -132,12 +144,17 @@ def suggest(
         failure = failure or failed
         if found is not None:
             held.append(found)
-        if sum(bool(one.held_up and one.held_down) for one in held) == count:
+        if sum(one.held_up and one.held_down for one in held) == count:
             break
-    if not held and failure is not None:
+    if not held:
+        assert failure is not None  # one row at least was tried, and did not settle
         raise failure
-    held.sort(key=lambda one: (-bool(one.held_up) - bool(one.held_down), -one.score.total))
-    return tuple(held)
+
+    def order(one: SuggestedGrasp) -> tuple[float, ...]:
+        both = min(one.time_up, one.time_down)
+        return -both, -max(one.time_up, one.time_down), -one.score.total
+
+    return tuple(sorted(held, key=order))
 
 
 _FOUND: dict[tuple[Any, ...], tuple[SuggestedGrasp, ...]] = {}
@@ -154,11 +171,9 @@ def suggested(
     if key not in _FOUND:
         twist = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         _FOUND[key] = suggest(hand, name, twist=twist, count=1, tries=12, seed=0, **options)
-    held_so = {"up": "held_up", "down": "held_down"}.get(
-        gravity if isinstance(gravity, str) else ""
-    )
-    fitting = [one for one in _FOUND[key] if held_so is None or getattr(one, held_so)]
-    return (fitting or _FOUND[key])[0]
+    time = {"up": "time_up", "down": "time_down"}.get(str(gravity))
+    # the first of those that hold longest
+    return max(_FOUND[key], key=lambda one: 0.0 if time is None else getattr(one, time))
 
 
 def _search(
@@ -184,6 +199,7 @@ def _search(
         centre=None if centre is None else checks.vector("grasp_centre", centre, 3),
         base=scene.open_q,
         torque=hand.effort,
+        stiffness=scene.stiffness,
         grip=scene.grip,
         friction=scene.friction(),
         weight=9.81 * scene.object_mass,
@@ -220,7 +236,7 @@ def _settled(
     opened = _opened(search, found.q[row], found.position[row], found.normal[row])
     q, yaw = found.q[row], place.yaw
     failure: SettleFailure | None = None
-    holds: dict[str, bool] = {}
+    times: dict[str, float] = {}
     for palm in PALMS:
         scene = Scene.build(
             hand, name, palm, object_size=None if own_size else place.size,
@@ -229,18 +245,18 @@ def _settled(
         try:
             settled = settle(scene, thorough=False)
         except SettleFailure as error:
-            failure, holds[palm] = failure or error, False
+            failure, times[palm] = failure or error, 0.0
             continue
-        holds[palm] = holds_still(scene, settled)
+        times[palm] = time_held(scene, settled)
         yaw = settled.yaw
-    if not any(holds.values()):
+    if not any(times.values()):
         return None, failure
     active = found.active[row]
     return (
         SuggestedGrasp(
             name, place.centre, 0.0 if own_size else place.size, yaw, opened, q,
             tuple(n for n, on in zip(hand.fingertip_names, active, strict=True) if on),
-            best.score[row], holds["up"], holds["down"],
+            best.score[row], times["up"], times["down"],
         ),
         failure,
     )  # fmt: skip
@@ -264,17 +280,22 @@ def _opened(search: GraspSearch, q: Floats, position: Floats, normal: Floats) ->
     return np.where(still, start, q)
 
 
-def holds_still(scene: Scene, settled: SettledGrasp, seconds: float = _HOLDING_TIME) -> bool:
-    """Whether a settled grasp holds the object when its set-points are held."""
+def time_held(scene: Scene, settled: SettledGrasp, seconds: float = HOLDING_TIME) -> float:
+    """How long a settled grasp holds the object with its set-points held, at most ``seconds``."""
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos, data.qvel = settled.qpos, settled.qvel
     data.ctrl[scene.actuators] = settled.q_target * scene.ctrl_per_radian
-    steps = round(seconds / model.opt.timestep)
-    mujoco.mj_step(model, data, steps)
-    if data.time < (steps - 0.5) * model.opt.timestep:
-        return False  # it diverged, and began anew
     sensors = TouchSensors(model, scene.hand.n_fingers)
-    reading = sensors.read(data.sensordata[None, sensors.columns], 0.05)
-    moved = np.linalg.norm(data.qpos[scene.object_qpos][:3] - settled.qpos[scene.object_qpos][:3])
-    needed = min(3, scene.hand.n_fingers)
-    return bool(moved <= _DRIFT and reading.in_contact[0].sum() >= needed)
+    start = settled.qpos[scene.object_qpos][:3]
+    needed, time = min(3, scene.hand.n_fingers), 0.0
+    steps = round(_LOOK / model.opt.timestep)
+    while time < seconds - _LOOK / 2:  # what has slipped is not waited for
+        mujoco.mj_step(model, data, steps)
+        if data.time < time + (steps - 0.5) * model.opt.timestep:
+            return time  # it diverged, and began anew
+        reading = sensors.read(data.sensordata[None, sensors.columns], 0.05)
+        moved = np.linalg.norm(data.qpos[scene.object_qpos][:3] - start)
+        if moved > _DRIFT or reading.in_contact[0].sum() < needed:
+            return time
+        time = float(data.time)
+    return seconds

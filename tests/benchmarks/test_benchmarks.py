@@ -25,6 +25,7 @@ RUNS: dict[str, list[str]] = {
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "ablation.py": [*SHORT, "--variants", "complete", "no_governor"],
     "allegro.py": SHORT,
+    "hands.py": [*SHORT, "--hands", "dex5", "none.toml", "--objects", "sphere", "--searches", "1"],
     "learner.py": [
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
     ],

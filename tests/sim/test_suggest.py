@@ -38,7 +38,7 @@ def search_of(hand: HandModel, name: str = "cube", **changes: object) -> GraspSe
     given = {
         "workspace": Workspace(scene.model, hand, *limits, scene.open_q, count=400),
         "shape": Shape.of_body(scene.model), "size": None, "centre": None, "base": scene.open_q,
-        "torque": hand.effort, "grip": 2.0,
+        "torque": hand.effort, "stiffness": scene.stiffness, "grip": 2.0,
     }  # fmt: skip
     return GraspSearch(**{**given, **changes})
 
@@ -118,6 +118,8 @@ def test_reach_is_that_of_the_joint_limits(tmp_path: Path) -> None:
     # a third of the grip each, in the plane; epsilon of three contacts with friction 1, hexagons
     assert 0.5 < score.margin < 6.0
     assert score.fingers == 3
+    # softest about an axis in the plane: two of three slides of 3 N/m, by half their lever squared
+    assert score.stiffness == pytest.approx(4.5, rel=1e-3)
 
 
 def test_a_hand_of_which_nothing_is_known_holds(bare: HandModel) -> None:
