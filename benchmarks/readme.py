@@ -39,6 +39,7 @@ HEADINGS = {
     "allegro": "Allegro hand",
     "ablation": "Parts of the coordinated gait",
     "learning_ablation": "Parts of the recipe fast",
+    "planning": "Planning",
     "robustness": "Robustness of the coordinated gait",
 }
 SWEEP = "learning_table"

@@ -34,6 +34,7 @@ class Progress(NamedTuple):
         rotation: the greatest of its nodes [rad].
         seconds: since `grow` began [s].
         refused: why candidates were not taken in, and how many.
+        physics_steps: that were simulated.
     """
 
     nodes: int
@@ -41,6 +42,7 @@ class Progress(NamedTuple):
     rotation: float
     seconds: float
     refused: dict[str, int]
+    physics_steps: int
 
 
 def grow(
@@ -149,7 +151,12 @@ def grow(
             if progress is not None:
                 progress(
                     Progress(
-                        len(tree), header.expansions, best, perf_counter() - start, header.refused
+                        len(tree),
+                        header.expansions,
+                        best,
+                        perf_counter() - start,
+                        header.refused,
+                        header.physics_steps,
                     )
                 )
             if path is not None and perf_counter() - saved > wait:

@@ -22,6 +22,11 @@ RUNS: dict[str, list[str]] = {
     "in_grasp.py": SHORT,
     "reach.py": [*SHORT, "--objects", "cylinder"],
     "touch.py": [*SHORT, "--objects", "cylinder"],
+    "planning.py": [
+        *("--seeds", "1", "--slow-seeds", "1", "--objects", "cylinder", "--hard", "cylinder"),
+        *("--parts", "kinematic", "large", "random", "literal", "sampling", "--limit", "0.2"),
+        *("--large", "300", "--short", "0.1", "--checked", "16"),
+    ],
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "ablation.py": [*SHORT, "--variants", "complete", "no_governor"],
     "allegro.py": SHORT,

@@ -17,6 +17,7 @@ RUNS: dict[str, tuple[list[str], str]] = {
     "batch_gait.py": (["3", "0.5"], "still holding"),
     "moving_hand.py": (["1.0"], "gravity in the hand's frame"),
     "own_hand.py": (["{menagerie}", "0.5"], "turned a sphere"),
+    "plan_turn.py": (["0.5"], "starts are in starts.npz"),
     "plan_forces.py": ([], "force closure: True"),
     "own_plant.py": ([], "sent 0.05 rad"),
 }

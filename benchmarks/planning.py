@@ -1,0 +1,317 @@
+"""Trees of grasps: how soon they turn an object all the way round, and what that costs.
+
+Times are seconds of the processor, with one thread, so that other work on the machine counts
+little. Each part can be measured by itself and adds its rows to the result.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import product
+from time import process_time
+from typing import Any
+
+import numpy as np
+from common import FULL_TURN, Figure, Settings, progress, settings, share, write
+
+from dexctl.exceptions import InvalidInput
+from dexctl.planning import (
+    ControllerMacros,
+    Expansion,
+    GraspSampling,
+    Kinematic,
+    Progress,
+    RandomActions,
+    Stability,
+    grow,
+    holding,
+    sample_grasps,
+)
+from dexctl.sim import Scene
+from dexctl.statistics import wilson
+
+PARTS = ("kinematic", "large", "controllers", "random", "literal", "ablations", "sampling")
+EASY = ("cylinder", "cube")
+HARD = ("l_shape", "u_shape")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    parts: tuple[str, ...] = PARTS
+    """Which parts are measured."""
+    seeds: int = 10
+    """Of kinematic trees."""
+    slow_seeds: int = 5
+    """Of trees in simulation."""
+    objects: tuple[str, ...] = (*EASY, *HARD)
+    """Of kinematic trees."""
+    hard: tuple[str, ...] = HARD
+    """Of trees in simulation."""
+    limit: float = 120.0
+    """Longest time of a tree [s]."""
+    large: int = 100_000
+    """Nodes of the large kinematic tree."""
+    short: float = 20.0
+    """Time of each of the literal loop, the ablations and the sampling [s]."""
+    checked: int = 512
+    """Nodes of the large tree that are held in simulation."""
+
+
+class Stop(Exception):
+    """The time is up."""
+
+
+def grown(
+    scene: Scene,
+    expansion: Expansion,
+    seed: int,
+    limit: float,
+    stability: Stability | None = None,
+    until: float = np.inf,
+    nodes: int | None = None,
+    steps: float = np.inf,
+) -> dict[str, Any]:
+    """A tree until it turned so far, has so many nodes, or took so long or so many steps."""
+    start, history = process_time(), []
+
+    def watch(now: Progress) -> None:
+        here = process_time() - start, now.expansions, now.nodes, now.physics_steps, now.rotation
+        history.append(here)
+        if here[0] > limit or now.physics_steps >= steps:
+            raise Stop
+
+    end: dict[str, Any] = {"until_rotation": until} if np.isfinite(until) else {"seconds": 1e6}
+    tree = None
+    with suppress(Stop):
+        tree = grow(
+            scene, expansion, seed=seed, threads=1, stability=stability, nodes=nodes,
+            progress=watch, **end,
+        )  # fmt: skip
+    kept = np.unique(np.linspace(0, len(history) - 1, 40).astype(int))
+    names = "cpu_s", "expansions", "nodes", "physics_steps", "rotation_rad"
+    return {
+        "tree": tree,
+        "seed": seed,
+        **dict(zip(names, history[-1], strict=True)),
+        "history": [[round(float(value), 3) for value in history[i]] for i in kept],
+    }
+
+
+def row(part: str, scene: Scene, found: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """A row of the result."""
+    palm = "up" if scene.gravity[2] < 0 else "down"
+    kept = {name: value for name, value in found.items() if name != "tree"}
+    progress(
+        f"{part} {scene.object} {palm} {more} seed {found.get('seed')}: "
+        f"{found.get('rotation_rad', 0):.2f} rad, {found['cpu_s']:.1f} s"
+    )
+    return {"part": part, "object": scene.object, "palm": palm, **more, **kept}
+
+
+def kinematic(given: Options) -> list[dict[str, Any]]:
+    """Kinematic trees to a full turn."""
+    rows = []
+    for name, palm in product(given.objects, ("up", "down")):
+        scene = Scene.build("dex5", name, palm)
+        for seed in range(given.seed, given.seed + given.seeds):
+            found = grown(scene, Kinematic(), seed, given.limit, until=FULL_TURN)
+            rows.append(row("kinematic", scene, found))
+    return rows
+
+
+def large(given: Options) -> list[dict[str, Any]]:
+    """One large kinematic tree on L, and how many of its nodes hold."""
+    scene = Scene.build("dex5", "l_shape", "up")
+    found = grown(scene, Kinematic(), given.seed, 1e6, nodes=given.large)
+    tree = found["tree"]
+    rng = np.random.default_rng(given.seed)
+    rows = rng.choice(len(tree), min(given.checked, len(tree)), replace=False)
+    held = share(holding(scene, tree, rows, threads=1))
+    return [row("large", scene, found, holding=held)]
+
+
+def controllers(given: Options) -> list[dict[str, Any]]:
+    """Trees with controllers as actions, to a full turn."""
+    rows = []
+    for name, palm in product(given.hard, ("up", "down")):
+        scene = Scene.build("dex5", name, palm)
+        for seed in range(given.seed, given.seed + given.slow_seeds):
+            found = grown(scene, ControllerMacros(), seed, given.limit, until=FULL_TURN)
+            rows.append(row("controllers", scene, found))
+    return rows
+
+
+def random(given: Options) -> list[dict[str, Any]]:
+    """Controllers and random actions on L for equal physics steps, equal numbers of candidates."""
+    scene, rows = Scene.build("dex5", "l_shape", "up"), []
+    steps = round(25_000 * given.short)
+    k = ControllerMacros().candidates
+    for seed in range(given.seed, given.seed + given.slow_seeds):
+        for expansion in (ControllerMacros(), RandomActions(actions=k)):
+            found = grown(scene, expansion, seed, 1e6, steps=steps)
+            rows.append(row("random", scene, found, expansion=type(expansion).__name__))
+    return rows
+
+
+def literal(given: Options) -> list[dict[str, Any]]:
+    """Nodes a second of the thesis's loop, of the same one lazily, and of ours."""
+    scene, rows = Scene.build("dex5", "cylinder", "up"), []
+    thesis = Stability.thesis()
+    for name, expansion, stability in (
+        ("literal", RandomActions.thesis(), thesis),
+        ("lazy", RandomActions(), thesis),
+        ("ours", RandomActions(), Stability()),
+    ):
+        found = grown(scene, expansion, given.seed, given.short, stability)
+        found["nodes_per_s"] = found["nodes"] / found["cpu_s"]
+        rows.append(row("literal", scene, found, loop=name))
+    return rows
+
+
+def ablations(given: Options) -> list[dict[str, Any]]:
+    """Rotation against expansions for K_max and alpha (the thesis's two ablations)."""
+    scene, rows = Scene.build("dex5", "cylinder", "up"), []
+    for actions in (1, 4, 16):
+        expansion = RandomActions(actions=actions, batch=16)
+        found = grown(scene, expansion, given.seed, given.short)
+        rows.append(row("ablations", scene, found, actions=actions, scale=expansion.scale))
+    for scale in (0.05, 0.1, 0.2, 0.3):
+        expansion = RandomActions(scale=scale, batch=16)
+        found = grown(scene, expansion, given.seed, given.short)
+        rows.append(row("ablations", scene, found, actions=expansion.actions, scale=scale))
+    return rows
+
+
+def sampling(given: Options) -> list[dict[str, Any]]:
+    """Sampled grasps a second, from fingertips round the object and from random joints."""
+    rows = []
+    for name in ("cube", "l_shape"):
+        scene = Scene.build("dex5", name, "up")
+        for place in ("fingertips", "joints"):
+            start, many = process_time(), round(100 * given.short)
+            try:
+                found = sample_grasps(
+                    scene, 10**6, GraspSampling(place=place), seed=given.seed, threads=1,
+                    most_tried=many,
+                )  # fmt: skip
+                kept, tried = len(found.nodes), found.tried
+            except InvalidInput:
+                kept, tried = 0, many
+            cpu = process_time() - start
+            counted = {"seed": given.seed, "cpu_s": cpu, "tried": tried, "kept": kept}
+            rows.append(row("sampling", scene, {**counted, "per_s": kept / cpu}, place=place))
+    return rows
+
+
+MEASURE: dict[str, Callable[[Options], list[dict[str, Any]]]] = {
+    "kinematic": kinematic,
+    "large": large,
+    "controllers": controllers,
+    "random": random,
+    "literal": literal,
+    "ablations": ablations,
+    "sampling": sampling,
+}
+
+
+def figures(rows: list[dict[str, Any]], given: Options) -> list[Figure]:
+    """Lines of the table."""
+    found: list[Figure] = []
+    of = {part: [r for r in rows if r["part"] == part] for part in PARTS}
+    for part, goals in (
+        ("kinematic", {"up": 5.0, "down": 5.0}),
+        ("controllers", {"up": 60.0, "down": 120.0}),
+    ):
+        for name, palm in dict.fromkeys((r["object"], r["palm"]) for r in of[part]):
+            some = [r for r in of[part] if (r["object"], r["palm"]) == (name, palm)]
+            full = [r for r in some if r["rotation_rad"] >= FULL_TURN]
+            intime = sum(r["cpu_s"] <= goals[palm] for r in full)
+            median = np.median([r["cpu_s"] if r in full else np.inf for r in some])
+            turned = np.median([r["rotation_rad"] for r in some])
+            measured = f"{len(full)} of {len(some)} seeds, {intime} within {goals[palm]:g} s; "
+            measured += (
+                f"median {median:.1f} s" if np.isfinite(median) else f"median {turned:.1f} rad"
+            )
+            found.append(
+                Figure(
+                    f"{part} tree turns the {name} by 2 pi, palm {palm}",
+                    measured,
+                    f"all seeds within {goals[palm]:g} s",
+                    intime == len(some),
+                )
+            )
+    for r in of["large"]:
+        held = r["holding"]
+        good = r["cpu_s"] <= 40 and held["share"] >= 0.97
+        found.append(
+            Figure(
+                f"kinematic tree of {r['nodes']} nodes on L: time, and nodes that hold for 2 s",
+                f"{r['cpu_s']:.0f} s; {held['count']} of {held['of']}",
+                "40 s, 97 %",
+                bool(good) if r["nodes"] >= 100_000 else None,
+            )
+        )
+    if of["random"]:
+        by = {
+            kind: np.array([r["rotation_rad"] for r in of["random"] if r["expansion"] == kind])
+            for kind in ("ControllerMacros", "RandomActions")
+        }
+        ratio = np.median(by["ControllerMacros"]) / np.median(by["RandomActions"])
+        found.append(
+            Figure(
+                "controllers against random actions on L, equal physics steps: rotation",
+                f"{np.median(by['ControllerMacros']):.2f} against "
+                f"{np.median(by['RandomActions']):.2f} rad, {ratio:.2f} times, "
+                f"{len(by['RandomActions'])} seeds",
+                "1.5 times",
+                bool(ratio >= 1.5),
+            )
+        )
+    if of["literal"]:
+        rate = {r["loop"]: r["nodes_per_s"] for r in of["literal"]}
+        times = rate["ours"] / rate["literal"]
+        found.append(
+            Figure(
+                "random actions, nodes a second: ours against the literal loop",
+                f"{rate['ours']:.1f} against {rate['literal']:.2f}, {times:.1f} times; lazily with "
+                f"the thesis's check {rate['lazy']:.1f}",
+                "10 times",
+                bool(times >= 10),
+            )
+        )
+    for name in dict.fromkeys(r["object"] for r in of["sampling"]):
+        a, b = (
+            next(r for r in of["sampling"] if r["object"] == name and r["place"] == place)
+            for place in ("fingertips", "joints")
+        )
+        low, high = (wilson(r["kept"], r["tried"]).value for r in (b, a))
+        found.append(
+            Figure(
+                f"sampled grasps of the {name}: share of what is tried, and a second",
+                f"{100 * high:.0f} %, {a['per_s']:.0f}/s; from random joints {100 * low:.1f} %, "
+                f"{b['per_s']:.1f}/s",
+            )
+        )
+    return found
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    path = given.out / "planning.json"
+    rows: list[dict[str, Any]] = []
+    if path.is_file():  # the parts that are not measured anew stay
+        rows = [r for r in json.loads(path.read_text())["trials"] if r["part"] not in given.parts]
+    for part in PARTS:
+        if part not in given.parts:
+            continue
+        rows += MEASURE[part](given)
+        write("planning", given, figures(rows, given), say=part == given.parts[-1], trials=rows)
+
+
+if __name__ == "__main__":
+    main()
