@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.grasp import is_force_closure
+from dexctl.igm import stable_forces
 from dexctl.rotations import inverse, rotate
 from dexctl.sim import Scene
 from dexctl.sim.hand_geometry import HandGeometry, LinkPoses
 from dexctl.sim.shapes import Shape
 from dexctl.state import Bools, Floats
 
+_WEAKEST = 0.2  # least share of a finger that touches
 _NEWTON = 12  # steps of inverse kinematics at most
 _DAMPING = 1e-6  # of its least squares [m^2]
 _MISSED = 2e-4  # a ball further than this from its place has not reached it [m]
@@ -167,16 +169,33 @@ class ContactModel:
         return found
 
     def pressed(
-        self, reached: Reached, point: Floats, normal: Floats, touch: Bools, force: float
+        self,
+        reached: Reached,
+        point: Floats,
+        normal: Floats,
+        touch: Bools,
+        origin: Floats,
+        force: float,
     ) -> Floats:
-        """Set-points whose servos press with ``force`` [N] and carry the object, ``(N, d)``."""
-        scene = self.scene
+        """Set-points whose servos press with ``force`` [N] and carry hand and object, ``(N, d)``.
+
+        The force is that of the mean finger; the shares are those of the stability QP, which leave
+        the least wrench on the object: a thumb presses as much as the fingers against it together.
+        """
+        scene, lever = self.scene, point - origin[:, None]
+        shares = stable_forces(
+            lever, normal, touch, touch.astype(float),
+            min_force=_WEAKEST, regulariser=1e-3, length=None,
+        ).forces  # fmt: skip
+        mean = shares.sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
+        each = force * shares / np.maximum(mean, 0.5)[:, None]
         share = np.maximum(touch.sum(axis=1), 1)[:, None, None]
         weight = -scene.object_mass * scene.gravity / share
-        push = np.where(touch[..., None], force * normal + weight, 0.0)
+        push = np.where(touch[..., None], each[..., None] * normal + weight, 0.0)
         jacobian = self.geometry.tip_jacobian(
             reached.poses, np.where(touch[..., None], point, reached.tip)
         )
         torque = np.swapaxes(jacobian, -1, -2) @ push[..., None]
-        target = reached.q + self.joints_of(torque[..., 0]) / scene.stiffness
+        carried = self.geometry.carrying(reached.poses, scene.gravity)
+        target = reached.q + (self.joints_of(torque[..., 0]) + carried) / scene.stiffness
         return np.clip(target, scene.lower, scene.upper)

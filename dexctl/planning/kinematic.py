@@ -55,7 +55,7 @@ class Kinematic(Expansion):
     margin: float = 0.006
     """How far links stay away from the object and from other fingers [m]."""
     force: float = 1.5
-    """With which each finger is pressed on [N]."""
+    """With which the mean finger is pressed on [N]."""
     batch: int = 256
     """How many nodes are expanded at a time."""
 
@@ -290,7 +290,7 @@ class _KinematicExpander:
         seconds = np.maximum(turn / _TURNING_SPEED, np.where(switched, _SWITCH_TIME, 0.0))
         return Nodes(
             q=done.q,
-            q_target=self._model.pressed(done, point, normal, touch, self._config.force),
+            q_target=self._model.pressed(done, point, normal, touch, position, self._config.force),
             object_position=position,
             object_quaternion=quaternion,
             joint_velocity=np.zeros_like(done.q),

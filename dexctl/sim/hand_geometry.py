@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.exceptions import InvalidInput
+from dexctl.rotations import cross
 from dexctl.sim.scene import Scene
 from dexctl.state import Bools, Floats
 
@@ -84,6 +85,7 @@ class HandGeometry:
         link_of_body, parents, joints = {0: -1}, [], []
         pose = {0: (np.zeros(3), np.eye(3))}  # of each body in the frame of its link
         offsets: list[tuple[np.ndarray, np.ndarray]] = []
+        masses: list[tuple[int, float, np.ndarray]] = []
         for body in range(1, model.nbody):
             name, above = model.body(body).name, int(model.body_parentid[body])
             if name == "object":
@@ -108,6 +110,14 @@ class HandGeometry:
                 joints.append(joint)
                 link, position, rotation = len(joints) - 1, -anchor, np.eye(3)
             link_of_body[body], pose[body] = link, (position, rotation)
+            if link >= 0:
+                masses.append(
+                    (
+                        link,
+                        float(model.body_mass[body]),
+                        position + rotation @ model.body_ipos[body],
+                    )
+                )
         self._body_link, self._body_pose = link_of_body, pose
         self._parent = np.array(parents, np.intp)
         self._offset = np.array([offset for offset, _ in offsets])
@@ -123,6 +133,15 @@ class HandGeometry:
             depth[i] = depth[above] + 1 if above >= 0 else 0
         self.depth = depth
         self._levels = [np.flatnonzero(depth == k) for k in range(depth.max() + 1)]
+        self._below: Bools = np.eye(len(joints), dtype=bool)  # which links each joint carries
+        for i, above in reversed(list(enumerate(parents))):
+            if above >= 0:
+                self._below[above] |= self._below[i]
+        self._mass, self._centre = np.zeros(len(joints)), np.zeros((len(joints), 3))
+        for link, mass, centre in masses:
+            self._mass[link] += mass
+            self._centre[link] += mass * centre
+        self._centre /= np.maximum(self._mass, 1e-12)[:, None]
         tips = [link_of_body[model.body(name).id] for name in hand.fingertip_bodies]
         self.chain: Bools = np.zeros((len(tips), len(joints)), bool)
         for finger, link in enumerate(tips):
@@ -177,6 +196,18 @@ class HandGeometry:
         slides = self._slides[self._finger_links][..., None]
         columns = np.where(slides, axis, turning) * self.own[..., None]
         return np.swapaxes(columns, -1, -2)
+
+    def carrying(self, poses: LinkPoses, gravity: Floats) -> Floats:
+        """Torques of the joints that carry the links' own weight, ``(N, d)`` [N m]."""
+        weight = self._mass[:, None] * gravity
+        centre = poses.position + (poses.rotation @ self._centre[..., None])[..., 0]
+        below = self._below.astype(float)
+        force = below @ weight
+        moment = below @ cross(centre, weight) - cross(poses.anchor, force)
+        pull = np.where(self._slides[:, None], force, moment)
+        torque = np.zeros((len(centre), self.hand.nq))
+        torque[:, self._columns] = -(poses.axis * pull).sum(axis=-1)
+        return torque
 
     def _find_tips(self) -> Balls:
         """The balls that the fingertips touch with: a sphere, or the outer end of a capsule."""

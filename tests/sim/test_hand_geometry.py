@@ -59,3 +59,16 @@ def test_jacobian_is_the_difference_quotient(scene: Scene) -> None:
             np.testing.assert_allclose(
                 (after - tip[:, finger]) / step, jacobian[:, finger, :, place], atol=1e-6
             )
+
+
+def test_joints_carry_the_weight_of_the_links(scene: Scene) -> None:
+    geometry, model = HandGeometry(scene), scene.model
+    data, q = mujoco.MjData(model), random_configurations(scene.hand, 4, 3)
+    gravity = np.array([1.0, -2.0, -9.0])
+    torque = geometry.carrying(geometry.poses(q), gravity)
+    model.opt.gravity[:] = gravity
+    for row, own in zip(q, torque, strict=True):
+        data.qpos[scene.qpos_columns] = row
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(own, data.qfrc_bias[scene.qvel_columns], atol=1e-9)
+    model.opt.gravity[:] = scene.gravity
