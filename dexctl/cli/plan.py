@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from dexctl.cli.checks import make_folder
+from dexctl.cli.checks import check_count, make_folder
 from dexctl.cli.output import notes, print_json, progress, results, table, to_json
 from dexctl.cli.parsing import Switch
 from dexctl.cli.trials import check_viz
@@ -27,8 +27,10 @@ from dexctl.planning import (
     Stability,
     Tree,
     grow,
+    grow_in_processes,
     holding,
 )
+from dexctl.planning.grow import check_ends
 from dexctl.settings import NESTED, Vector, from_plain
 from dexctl.sim import SceneConfig
 from dexctl.statistics import wilson
@@ -64,6 +66,9 @@ class Plan:
     """Of the random numbers."""
     out: Path = Path("out/plan")
     """Folder for tree.npz and plan.json."""
+    jobs: int | None = None
+    """Processes that grow a tree each, which become one; none: one for each core, or one only for
+    kinematic trees and those that are resumed."""
     resume: Switch = False
     """Go on with the tree in the folder."""
     json: Switch = False
@@ -87,27 +92,26 @@ class Plan:
         until = self.until_rotation
         if until is None and self.nodes is None and self.seconds is None:
             until = 2 * math.pi
+        jobs = self._jobs(tree)
         (scene,) = self.scene.scenes()
+        ends: dict[str, Any] = {
+            "nodes": self.nodes, "seconds": self.seconds, "until_rotation": until, "axis": axis,
+            "seed": self.seed, "metric": self.metric, "bounds": self.bounds,
+            "stability": self.stability, "path": path,
+        }  # fmt: skip
+        check_ends(self.nodes, self.seconds, until, self.bounds)
         try:
             with ExitStack() as stack:
                 show = _Bar(stack, self.nodes, self.seconds, until)
-                tree = grow(
-                    scene,
-                    expansion,
-                    nodes=self.nodes,
-                    seconds=self.seconds,
-                    until_rotation=until,
-                    axis=axis,
-                    seed=self.seed,
-                    metric=self.metric,
-                    bounds=self.bounds,
-                    stability=self.stability,
-                    threads=self.scene.threads,
-                    tree=tree,
-                    scene_config=self.scene,
-                    path=path,
-                    progress=show,
-                )
+                if jobs == 1:
+                    tree = grow(
+                        scene, expansion, threads=self.scene.threads, tree=tree,
+                        scene_config=self.scene, progress=show, **ends,
+                    )  # fmt: skip
+                else:
+                    tree = grow_in_processes(
+                        self.scene, expansion, jobs, progress=show, **ends
+                    )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted; the tree is in {path}, and the same command with --resume goes on"
@@ -131,6 +135,18 @@ class Plan:
         if self.expand not in known:
             raise UnknownName("--expand", self.expand, known)
         return known[self.expand]
+
+    def _jobs(self, tree: Tree | None) -> int:
+        if self.jobs is not None:
+            if tree is not None and self.jobs != 1:
+                raise InvalidInput(f"--jobs is {self.jobs}; a tree is resumed by one process")
+            return check_count("--jobs", self.jobs)
+        one = tree is not None or self.expand == "kinematic" or self.scene.threads is not None
+        if one:
+            return 1
+        from dexctl.report.machine import usable_cores
+
+        return usable_cores()
 
     def _held(self, scene: Scene, tree: Tree) -> dict[str, Any]:
         """How many of a tree grown without physics hold in simulation, of a sample."""

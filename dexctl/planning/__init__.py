@@ -9,6 +9,7 @@ from dexctl.planning.kinematic import Kinematic
 from dexctl.planning.macros import ControllerMacros
 from dexctl.planning.metric import Metric
 from dexctl.planning.nodes import Frame, Nodes
+from dexctl.planning.processes import grow_in_processes
 from dexctl.planning.random_actions import RandomActions
 from dexctl.planning.sampling import GraspSampling, SampledGrasps, sample_grasps
 from dexctl.planning.stability import Stability
@@ -33,6 +34,7 @@ __all__ = [
     "Tree",
     "TreeHeader",
     "grow",
+    "grow_in_processes",
     "holding",
     "sample_grasps",
 ]

@@ -61,7 +61,7 @@ def grow(
     tree: Tree | None = None,
     scene_config: SceneConfig | None = None,
     path: str | Path | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], object] | None = None,
 ) -> Tree:
     """Grow a tree of grasps from the settled one (thesis chapter 5, Alg. G-RRT).
 
@@ -83,25 +83,14 @@ def grow(
         tree: one to go on with; its own seed and counts are continued.
         path: where the tree is written every few seconds and at the end, however that comes
             (Ctrl-C too): a killed process loses the last block of some seconds, no more.
-        progress: called after every batch.
+        progress: called after every batch; where it returns True, the tree is left as it is.
 
     Raises:
         InvalidInput: nothing says when to stop, or a tree of another hand, object or gravity.
         SimulationError: the object does not stay in the hand.
     """
-    if nodes is None and seconds is None and until_rotation is None:
-        raise InvalidInput(
-            "grow is told no end; expected nodes, seconds or until_rotation, or several"
-        )
-    for name, value in (("nodes", nodes), ("seconds", seconds), ("until_rotation", until_rotation)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise InvalidInput(f"{name} is {value}; expected a number above 0")
     bounds = bounds or Bounds()
-    if until_rotation is not None and until_rotation > bounds.rotation[1] + 0.5:
-        raise InvalidInput(
-            f"until_rotation is {until_rotation:g}; targets go up to {bounds.rotation[1]:g} rad "
-            "(Bounds.rotation)"
-        )
+    check_ends(nodes, seconds, until_rotation, bounds)
     root = root_of(scene)
     problem = Problem(
         scene=scene,
@@ -149,7 +138,7 @@ def grow(
                 search.add(problem.metric.of(problem.frame, found.nodes))
                 best = max(best, float(found.nodes.rotation.max()))
             if progress is not None:
-                progress(
+                told = progress(
                     Progress(
                         len(tree),
                         header.expansions,
@@ -159,6 +148,8 @@ def grow(
                         header.physics_steps,
                     )
                 )
+                if told is True:
+                    break
             if path is not None and perf_counter() - saved > wait:
                 began = perf_counter()
                 tree.save(path)
@@ -169,6 +160,24 @@ def grow(
         expander.close()
         if path is not None and tree is not None:
             tree.save(path)
+
+
+def check_ends(
+    nodes: int | None, seconds: float | None, until_rotation: float | None, bounds: Bounds
+) -> None:
+    """Raise InvalidInput where nothing says when a tree is done, or what does cannot be reached."""
+    if nodes is None and seconds is None and until_rotation is None:
+        raise InvalidInput(
+            "grow is told no end; expected nodes, seconds or until_rotation, or several"
+        )
+    for name, value in (("nodes", nodes), ("seconds", seconds), ("until_rotation", until_rotation)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InvalidInput(f"{name} is {value}; expected a number above 0")
+    if until_rotation is not None and until_rotation > bounds.rotation[1] + 0.5:
+        raise InvalidInput(
+            f"until_rotation is {until_rotation:g}; targets go up to {bounds.rotation[1]:g} rad "
+            "(Bounds.rotation)"
+        )
 
 
 def _begin(

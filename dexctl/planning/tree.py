@@ -273,6 +273,8 @@ class Tree:
     def merge(cls, trees: Sequence[Tree]) -> Tree:
         """One tree of several with the same root, grown by several processes.
 
+        `expansion` then counts those of all trees together, as if all had been equally quick.
+
         Raises:
             InvalidInput: none, or trees that do not belong together.
         """
@@ -288,11 +290,12 @@ class Tree:
             rest = np.arange(1, len(tree))
             shift = len(merged) - 1
             parent = tree.parent[1:]
-            merged.append(
-                tree.nodes.take(rest),
-                np.where(parent > 0, parent + shift, 0),
-                tree.action[1:],
-                tree.expansion[1:],
-            ) if len(parent) else None
+            if len(rest):
+                merged.append(
+                    tree.nodes.take(rest),
+                    np.where(parent > 0, parent + shift, 0),
+                    tree.action[1:],
+                    tree.expansion[1:] * len(trees),
+                )
         merged.header = TreeHeader.sum([tree.header for tree in trees])
         return merged

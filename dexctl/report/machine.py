@@ -13,12 +13,17 @@ import dexctl
 _PACKAGES = ("numpy", "scipy", "pin", "proxsuite", "casadi", "mujoco", "mink")
 
 
+def usable_cores() -> int:
+    """How many cores this process may use."""
+    usable = getattr(os, "sched_getaffinity", None)
+    return (len(usable(0)) if usable else os.cpu_count()) or 1
+
+
 def machine() -> dict[str, Any]:
     """Processor, cores that this process may use, system, Python and package versions."""
-    usable = getattr(os, "sched_getaffinity", None)
     return {
         "processor": _processor(),
-        "cores": len(usable(0)) if usable else os.cpu_count(),
+        "cores": usable_cores(),
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "versions": {"dexctl": dexctl.__version__, **{name: _version(name) for name in _PACKAGES}},

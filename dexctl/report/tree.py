@@ -64,8 +64,9 @@ def _edges(axes: Axes, tree: Tree, path: NDArray[np.intp]) -> None:
 
 
 def _growth(axes: Axes, tree: Tree) -> None:
-    best = np.maximum.accumulate(tree.rotation)
-    axes.step(np.maximum(tree.expansion, 1), best, where="post", color="#0072b2", lw=2.0)
+    order = np.argsort(tree.expansion, kind="stable")
+    best = np.maximum.accumulate(tree.rotation[order])
+    axes.step(np.maximum(tree.expansion[order], 1), best, where="post", color="#0072b2", lw=2.0)
     axes.set(xscale="log", xlabel="expansions", ylabel="[rad]", title="Greatest rotation")
 
 

@@ -1,0 +1,44 @@
+"""Several processes grow one tree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dexctl.exceptions import InvalidInput, SimulationError
+from dexctl.planning import Progress, RandomActions, Tree, grow, grow_in_processes
+from dexctl.sim import Scene, SceneConfig
+
+
+def test_two_processes_grow_what_each_would_have_grown(tmp_path: Path) -> None:
+    config, path = SceneConfig(object=("cylinder",)), tmp_path / "tree.npz"
+    expansion, seen = RandomActions(batch=4), list[Progress]()
+    tree = grow_in_processes(
+        config, expansion, 2, path=path, nodes=8, seed=5, progress=seen.append
+    )
+    (scene,) = config.scenes()
+    alone = [grow(scene, expansion, nodes=4, seed=5 + i, threads=1) for i in range(2)]
+    assert len(tree) == sum(map(len, alone)) - 1 == len(Tree.load(path))
+    np.testing.assert_array_equal(tree.rotation, Tree.merge(alone).rotation)
+    assert tree.header.expansions == sum(one.header.expansions for one in alone)
+    assert (np.sort(tree.expansion)[-1]) <= 2 * tree.header.expansions
+    assert seen
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_goes_wrong_in_a_process_is_said(tmp_path: Path) -> None:
+    config = SceneConfig(object=("cylinder",))
+    with pytest.raises(SimulationError, match="without a tree: grow is told no end"):
+        grow_in_processes(config, RandomActions(), 1, path=tmp_path / "tree.npz")
+    with pytest.raises(InvalidInput, match="jobs is 0; expected a whole number of processes"):
+        grow_in_processes(config, RandomActions(), 0, path=tmp_path / "tree.npz")
+    assert not list(tmp_path.iterdir())
+
+
+def test_growing_stops_where_progress_says_so(cylinder: Scene) -> None:
+    tree = grow(
+        cylinder, RandomActions(batch=4), nodes=100, seed=0, threads=1, progress=lambda _: True
+    )
+    assert tree.header.expansions == 4
