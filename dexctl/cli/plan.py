@@ -109,9 +109,7 @@ class Plan:
                         scene_config=self.scene, progress=show, **ends,
                     )  # fmt: skip
                 else:
-                    tree = grow_in_processes(
-                        self.scene, expansion, jobs, progress=show, **ends
-                    )
+                    tree = grow_in_processes(self.scene, expansion, jobs, progress=show, **ends)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted; the tree is in {path}, and the same command with --resume goes on"

@@ -15,9 +15,7 @@ from dexctl.sim import Scene, SceneConfig
 def test_two_processes_grow_what_each_would_have_grown(tmp_path: Path) -> None:
     config, path = SceneConfig(object=("cylinder",)), tmp_path / "tree.npz"
     expansion, seen = RandomActions(batch=4), list[Progress]()
-    tree = grow_in_processes(
-        config, expansion, 2, path=path, nodes=8, seed=5, progress=seen.append
-    )
+    tree = grow_in_processes(config, expansion, 2, path=path, nodes=8, seed=5, progress=seen.append)
     (scene,) = config.scenes()
     alone = [grow(scene, expansion, nodes=4, seed=5 + i, threads=1) for i in range(2)]
     assert len(tree) == sum(map(len, alone)) - 1 == len(Tree.load(path))
