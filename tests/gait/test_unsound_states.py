@@ -172,6 +172,6 @@ def test_eight_hundred_calls(dex5):
 
 @pytest.mark.slow
 def test_twenty_thousand_calls(dex5):
-    """About a minute of one core."""
+    """Half a minute of one core."""
     answered, refused = under_attack(dex5, 20_000, 1)
     assert answered > 8000 and refused > 4000
