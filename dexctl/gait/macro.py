@@ -48,6 +48,10 @@ class Macro(Controller):
         config: the settings.
         control_period: [s].
         axis: fingers are carried round it, ``(3,)``; None: the axis of the settings' twist.
+
+    Attributes:
+        twist: of the object in each hand, ``(N, 6)``; it may be changed at any time, to hold the
+            object still while a finger is still on its way, for one.
     """
 
     def __init__(
@@ -69,7 +73,7 @@ class Macro(Controller):
         self._limits = SetPointLimits(
             hand, settings.max_joint_speed, settings.max_lead, control_period
         )
-        self._twist = np.array(self.in_grasp.config.twist, float)[None]
+        self.twist = np.array(self.in_grasp.config.twist, float)[None]
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         self.in_grasp.reset(seed, mask)
@@ -113,7 +117,7 @@ class Macro(Controller):
             )
         if state.object_position is None:
             raise InvalidInput("the state has no pose of the object; expected a tracked object")
-        self._twist = wanted
+        self.twist = wanted
         self.switch.start(count)
         if landing is not None:
             self.switch.begin(
@@ -156,7 +160,7 @@ class Macro(Controller):
         share = Share(
             released=self.switch.released,
             max_force=self.switch.max_force,
-            twist=np.broadcast_to(self._twist, (len(state.q), 6)),
+            twist=np.broadcast_to(self.twist, (len(state.q), 6)),
             yielding=self.switch.yielding,
         )
         holding = self.in_grasp.command(state, share, now)

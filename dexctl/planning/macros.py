@@ -39,7 +39,9 @@ class ControllerMacros(Expansion):
     shift: float = 0.005
     """Standard deviation of the object's speed along each direction [m/s]."""
     seconds: tuple[float, float] = (0.2, 1.0)
-    """Least and greatest time of an action [s]; a switch that is under way is finished."""
+    """Least and greatest time of the twist [s]; a switch that is under way is finished after it."""
+    wind_down: float = 0.1
+    """The object is held still for at least this long before an action is over [s]."""
     still: float = 0.2
     """Share of actions without a switch."""
     guided: float = 0.4
@@ -64,7 +66,7 @@ class ControllerMacros(Expansion):
         check_numbers(
             self,
             positive=("landing", "random_scale"),
-            not_negative=("wobble", "shift", "swing"),
+            not_negative=("wobble", "shift", "swing", "wind_down"),
             fractions=("still", "guided", "random"),
         )
         check_whole(self, candidates=1, batch=1)
@@ -187,6 +189,7 @@ class _MacroDrive:
         noise = config.random_scale * rng.normal(size=nodes.q_target.shape)
         period, steps = sim.control_period, 0
         plan.seconds[plan.random] = 2 * period
+        ends = plan.seconds + np.where(plan.random, 0.0, config.wind_down)
         active, lost, seconds = np.ones(count, bool), np.zeros(count, bool), np.zeros(count)
         while active.any():
             change = macro.act(state)
@@ -203,7 +206,9 @@ class _MacroDrive:
             away = np.linalg.norm(frame.displacement(state.object_position), axis=-1)
             gone = active & ~(away <= 2 * self._problem.bounds.displacement)
             lost |= gone | (active & (seconds > _LONGEST))
-            over = (seconds >= plan.seconds - 1e-9) & ~macro.busy
+            still = seconds >= plan.seconds - 1e-9
+            macro.twist = np.where(still[:, None], 0.0, plan.twist)
+            over = (seconds >= ends - 1e-9) & ~macro.busy
             active &= ~lost & ~over
         action = np.column_stack(
             [plan.twist, seconds, plan.finger.astype(float), plan.where, plan.random.astype(float)]
