@@ -320,12 +320,16 @@ def outcome(trace: Trace, target: float = FULL_TURN) -> dict[str, Any]:
 
     ``reached`` counts trials that turned the object by ``target`` [rad] before any drop;
     ``stalled`` those that still hold it and turned it by less than 0.1 rad in the last quarter.
+    ``drift_mm`` is how far its centre was from where it had been at the start, the largest while
+    it was held.
     """
     rotation, held = trace.rotation, trace.held
     quarter = len(rotation) - max(len(rotation) // 4, 1)
     last = rotation[-1] - rotation[quarter - 1]
     reached = rotation.max(axis=0) >= target
     other = (trace.other_contact > 0) & held
+    away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
+    drift = 1000 * np.where(held, away, 0.0).max(axis=0)
     return {
         "rotation_rad": over_seeds(rotation[-1]),
         "time_held_s": over_seeds(trace.time_held),
@@ -334,10 +338,12 @@ def outcome(trace: Trace, target: float = FULL_TURN) -> dict[str, Any]:
         "reached": share(reached),
         "reached_and_holding": share(reached & held[-1]),
         "stalled": share(held[-1] & (np.abs(last) < 0.1)),
+        "drift_mm": {**over_seeds(drift), "largest": _r(drift.max())},
         "second_before_drop": _before_drop(trace),
         "broke_down": _broke_down(trace),
         "mean_contacts": _r((trace.in_contact.sum(axis=-1) * held).sum() / held.sum()),
         "touched_by_more_than_fingertips": _r(other.sum() / held.sum()),
+        "only_fingertips": _r(1.0 - other.sum() / held.sum()),
     }
 
 

@@ -39,7 +39,9 @@ HEADER = (
     *(
         f"{gait}: {what}"
         for gait in GAITS.values()
-        for what in ("rotation [rad]", "held [s]", "full turn")
+        for what in (
+            "rotation [rad]", "held [s]", "full turn", "drift [mm]", "only fingertips"
+        )  # fmt: skip
     ),
 )
 
@@ -71,7 +73,15 @@ def cells(row: Mapping[str, Any]) -> list[str]:
         f"{rotation['median']:.1f} ({rotation['p10']:.1f}-{rotation['p90']:.1f})",
         f"{held['median']:.0f} ({held['p10']:.0f}-{held['p90']:.0f})",
         percent_interval(row["reached"]),
+        *steadiness(row),
     ]
+
+
+def steadiness(row: Mapping[str, Any]) -> list[str]:
+    """Largest drift, over the trials too, and share of samples with only fingertips touching."""
+    if "drift_mm" not in row:  # of an earlier measurement
+        return ["", ""]
+    return [f"{row['drift_mm']['largest']:.0f}", f"{100 * row['only_fingertips']:.1f} %"]
 
 
 def table_of(rows: list[dict[str, Any]], given: Options) -> dict[str, Any]:
@@ -81,7 +91,7 @@ def table_of(rows: list[dict[str, Any]], given: Options) -> dict[str, Any]:
     for name, palm in dict.fromkeys((row["object"], row["palm"]) for row in rows):
         line = [f"{name.replace('_', ' ')}, {palm}"]
         for gait in GAITS.values():
-            line += found.get((name, palm, gait), [""] * 3)
+            line += found.get((name, palm, gait), [""] * 5)
         lines.append(line)
     return {
         "title": f"Thesis gait and coordinated gait, {given.seconds:g} s, {given.trials} trials "

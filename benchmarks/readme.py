@@ -30,6 +30,7 @@ HEADINGS = {
     "reach": "The end of the reach",
     "touch": "Without touch sensors",
     "gaits": "Gaits",
+    "gaits_long": "Gaits for ten minutes",
     "learned": "Learned gaits",
     "learner": "Training throughput",
     "algorithms": "Algorithms and their peers",

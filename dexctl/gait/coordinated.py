@@ -24,9 +24,15 @@ from dexctl.switch.landing import azimuth, landing_at, split, turned
 from dexctl.validation import check_kind, check_mask, check_numbers, with_changes
 
 
-def _turning() -> InGraspManipulationConfig:
+def _turning(**changes: Any) -> InGraspManipulationConfig:
     # a finger that nears its end is switched, and `most_travel` stops the object till then
-    return InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.35), reach_distance=0.0)
+    plain = InGraspManipulationConfig(
+        twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.35),
+        height_gain=2.0,
+        centring_gain=2.0,
+        reach_distance=0.0,
+    )
+    return replace(plain, **changes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +51,7 @@ class CoordinatedGaitConfig:
     """The object stops before a finger is this far past where it was at the reset [rad]."""
     slow_down: float = 0.2
     """And slows down over the last so much before it [rad]."""
-    spacing: float = 0.03
+    spacing: float = 0.036
     """Fingers land at least this far, round the object, from the one behind them [m]: one that
     comes down on its neighbour touches nothing else and pushes it off the object."""
     pause: float = 0.1
@@ -101,7 +107,7 @@ class CoordinatedGaitConfig:
 
 # measured on the Allegro and the LEAP hand (docs/what-helped.md)
 _FEW: dict[str, Any] = {
-    "in_grasp": InGraspManipulationConfig(
+    "in_grasp": _turning(
         twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), grip_force=2.0, stability_gain=0.01
     ),
     "switch": GuardedSwitchConfig(unloaded_force=0.3, clearance=0.012),
