@@ -108,7 +108,11 @@ class CoordinatedGaitConfig:
 # measured on the Allegro and the LEAP hand (docs/what-helped.md)
 _FEW: dict[str, Any] = {
     "in_grasp": _turning(
-        twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), grip_force=2.0, stability_gain=0.01
+        twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25),
+        grip_force=2.0,
+        stability_gain=0.01,
+        height_gain=1.0,
+        centring_gain=1.0,
     ),
     "switch": GuardedSwitchConfig(unloaded_force=0.3, clearance=0.012),
     "hold_force": 0.15,
