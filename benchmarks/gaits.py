@@ -39,9 +39,7 @@ HEADER = (
     *(
         f"{gait}: {what}"
         for gait in GAITS.values()
-        for what in (
-            "rotation [rad]", "held [s]", "full turn", "drift [mm]", "only fingertips"
-        )  # fmt: skip
+        for what in ("rotation [rad]", "held [s]", "full turn", "drift [mm]", "only fingertips")
     ),
 )
 
