@@ -58,6 +58,8 @@ class Options(Settings):
     """Nodes of the large kinematic tree."""
     short: float = 20.0
     """Time of each of the literal loop, the ablations and the sampling [s]."""
+    steps: int = 1_000_000
+    """Physics steps of each tree where controllers and random actions are compared."""
     checked: int = 512
     """Nodes of the large tree that are held in simulation."""
 
@@ -149,11 +151,10 @@ def controllers(given: Options) -> list[dict[str, Any]]:
 def random(given: Options) -> list[dict[str, Any]]:
     """Controllers and random actions on L for equal physics steps, equal numbers of candidates."""
     scene, rows = Scene.build("dex5", "l_shape", "up"), []
-    steps = round(25_000 * given.short)
     k = ControllerMacros().candidates
     for seed in range(given.seed, given.seed + given.slow_seeds):
         for expansion in (ControllerMacros(), RandomActions(actions=k)):
-            found = grown(scene, expansion, seed, 1e6, steps=steps)
+            found = grown(scene, expansion, seed, 1e6, steps=given.steps)
             rows.append(row("random", scene, found, expansion=type(expansion).__name__))
     return rows
 

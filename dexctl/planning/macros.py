@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.exceptions import InvalidInput
-from dexctl.gait import Macro, MacroConfig
+from dexctl.gait import CoordinatedGaitConfig, Macro, MacroConfig
 from dexctl.gait.selection import Choice, Grasps, choose
 from dexctl.planning.expansion import Expander, Expansion, Problem
 from dexctl.planning.nodes import Nodes
@@ -53,8 +53,8 @@ class ControllerMacros(Expansion):
     """Standard deviation of those [rad]."""
     landing: float = 0.6
     """Random landings lie within this about the axis of where the finger was at the root [rad]."""
-    swing: float = 0.45
-    """Guided landings lie this far back, against the rotation, as in the gait [rad]."""
+    gait: CoordinatedGaitConfig = field(default_factory=CoordinatedGaitConfig)
+    """Decides in guided actions which finger is switched, and how far back it lands."""
     macro: MacroConfig = field(default_factory=MacroConfig)
     """Of the controllers."""
     lazy: bool = True
@@ -66,11 +66,11 @@ class ControllerMacros(Expansion):
         check_numbers(
             self,
             positive=("landing", "random_scale"),
-            not_negative=("wobble", "shift", "swing", "wind_down"),
+            not_negative=("wobble", "shift", "wind_down"),
             fractions=("still", "guided", "random"),
         )
         check_whole(self, candidates=1, batch=1)
-        check_kind(self, macro=MacroConfig)
+        check_kind(self, macro=MacroConfig, gait=CoordinatedGaitConfig)
         for name in ("speed", "seconds"):
             low, high = getattr(self, name)
             if not (np.isfinite(low) and np.isfinite(high) and low <= high):
@@ -127,9 +127,10 @@ class _Plan:
         if guided.any():
             rows = np.flatnonzero(guided)
             sense = np.where(speed[rows] < 0, -1.0, 1.0)
-            choice = _choice(state[rows], tip[rows], sense[:, None] * angle[rows] + config.swing)
+            travel = sense[:, None] * angle[rows] + config.gait.swing
+            choice = _choice(config.gait, state[rows], tip[rows], travel)
             finger[rows] = np.where(choice.found, choice.finger, -1)
-            where[rows] = -sense * config.swing
+            where[rows] = -sense * config.gait.swing
         finger[still | self.random] = -1
         self.finger: NDArray[np.intp] = finger
         self.where = np.where(finger >= 0, where, 0.0)
@@ -140,23 +141,23 @@ class _Plan:
         self.landing: Landing = landing_at(origin, direction, radius)
 
 
-def _choice(state: GraspState, tip: Floats, travel: Floats) -> Choice:
+def _choice(gait: CoordinatedGaitConfig, state: GraspState, tip: Floats, travel: Floats) -> Choice:
     touch = state.in_contact[..., None]
     grasps = Grasps(
         np.where(touch, state.contact_position, tip),
         np.where(touch, state.contact_normal, 0.0),
         state.in_contact,
-        state.in_contact & (state.contact_force > 0.3),
+        state.in_contact & (state.contact_force > gait.hold_force),
         np.asarray(state.object_position),
     )
     return choose(
         grasps,
         travel,
-        least_travel=0.3,
-        residual_weight=1.0,
-        residual_limit=0.6,
-        push_friction=0.3,
-        friction=0.8,
+        least_travel=gait.least_travel,
+        residual_weight=gait.residual_weight,
+        residual_limit=gait.residual_limit,
+        push_friction=gait.in_grasp.friction,
+        friction=gait.friction,
     )
 
 

@@ -25,7 +25,7 @@ RUNS: dict[str, list[str]] = {
     "planning.py": [
         *("--seeds", "1", "--slow-seeds", "1", "--objects", "cylinder", "--hard", "cylinder"),
         *("--parts", "kinematic", "large", "random", "literal", "sampling", "--limit", "0.2"),
-        *("--large", "300", "--short", "0.1", "--checked", "16"),
+        *("--large", "300", "--short", "0.1", "--checked", "16", "--steps", "3000"),
     ],
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "gaits_long.py": [*SHORT, "--objects", "cylinder"],
