@@ -20,6 +20,7 @@ from dexctl.validation import shown
 UNIT_TOLERANCE = 0.02
 """Of the squared length of normals and quaternions."""
 FARTHEST = 1e3
+FALLEN = 1e7  # a dropped object falls 1800 km in the ten minutes of a batch [m]
 """Farthest that contacts and the object may be [m], and joints [rad]; its square bounds forces."""
 
 
@@ -165,7 +166,7 @@ def check_sound(hand: HandModel, state: GraspState) -> None:
     """Raise InvalidInput where ``state`` would move a motor wrongly.
 
     What a controller may read is finite, normals and the object's quaternion are of unit length,
-    and nothing is farther than a kilometre. Rows of fingers out of touch are not read.
+    and no contact is farther than a kilometre. Rows of fingers out of touch are not read.
     """
     normal, point = state.contact_normal, state.contact_position
     square = np.einsum("...i,...i->...", normal, normal)
@@ -178,7 +179,7 @@ def check_sound(hand: HandModel, state: GraspState) -> None:
     size = size + np.einsum("...i,...i->...", state.q_target, state.q_target)
     if state.object_position is not None:
         size += np.einsum("...i,...i->...", state.object_position, state.object_position)
-    right = good.all() and (size <= FARTHEST**2).all()
+    right = good.all() and (size <= FALLEN**2).all()
     if right and state.object_quaternion is not None:
         quaternion = state.object_quaternion
         length = np.einsum("...i,...i->...", quaternion, quaternion)
@@ -213,8 +214,8 @@ def refuse(hand: HandModel, state: GraspState) -> None:
         for name in ("q", "q_target", "object_position"):
             value = getattr(state, name)
             if value is not None:
-                over = np.linalg.norm(value, axis=-1) > 0.5 * FARTHEST
-                _refuse_rows(name, value, over, (), f"within {FARTHEST:g}")
+                over = np.linalg.norm(value, axis=-1) > 0.5 * FALLEN
+                _refuse_rows(name, value, over, (), f"within {FALLEN:g}")
         if state.object_quaternion is not None:
             length = np.linalg.norm(state.object_quaternion, axis=-1)
             wrong = ~(np.abs(length**2 - 1.0) <= UNIT_TOLERANCE)

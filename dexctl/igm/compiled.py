@@ -13,7 +13,7 @@ from numba import njit, types
 TOLERANCE = 1e-9  # on variables, as in dexctl.grasp.box_qp
 ROUNDS = 300  # as there
 TIE, LOST, DUAL = 1e-11, 4e-15, 1e-15  # as in dexctl.grasp.stability_solver
-UNIT_TOLERANCE, FARTHEST = 0.02, 1e3  # as in dexctl.controller
+UNIT_TOLERANCE, FARTHEST, FALLEN = 0.02, 1e3, 1e7  # as in dexctl.controller
 SHORTEST = 1e-3  # floor of the characteristic length [m]
 FREE, LOWER, UPPER = 0, -1, 1
 
@@ -313,7 +313,7 @@ def sound(q, q_target, position, normal, force, touch, object_position, quaterni
         size += q[i] ** 2 + q_target[i] ** 2
     for c in range(3):
         size += object_position[c] ** 2
-    if not size <= FARTHEST**2:
+    if not size <= FALLEN**2:
         return False
     square = 0.0
     for c in range(4):

@@ -238,3 +238,14 @@ def test_states_that_are_not_finite_are_refused(cylinder, field):
     broken[1] = np.nan
     with np.errstate(invalid="ignore"), pytest.raises(InvalidInput, match=r"not finite.*\[1"):
         controller.act(replace(state, **{field: broken}))
+
+
+def test_an_object_that_has_fallen_out_of_sight_is_no_error(cube):
+    """In a batch the others go on; palm down it falls 17 km in a minute."""
+    sim = BatchSimulator(cube, 2)
+    state = sim.read()
+    far = state.object_position + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 17e3]])
+    gone = replace(
+        state, object_position=far, in_contact=state.in_contact & np.array([[True], [False]])
+    )
+    assert np.isfinite(CoordinatedGait(cube.hand).act(gone)).all()
