@@ -19,6 +19,7 @@ from dexctl.sim.hand_geometry import HandGeometry, LinkPoses
 from dexctl.sim.shapes import Shape
 from dexctl.state import Bools, Floats
 
+_TOUCHING = 1e-4  # how deep a ball that touches is in the surface [m]
 _WEAKEST = 0.2  # least share of a finger that touches
 _NEWTON = 12  # steps of inverse kinematics at most
 _DAMPING = 1e-6  # of its least squares [m^2]
@@ -93,6 +94,15 @@ class ContactModel:
         local = rotate(inverse(turn), tip - position[:, None])
         point, outward = self.shape.nearest(local)
         return rotate(turn, point) + position[:, None], -rotate(turn, outward)
+
+    def on_surface(self, tip: Floats, position: Floats, quaternion: Floats) -> Floats:
+        """The places of balls ``(N, m, 3)`` that just touch, in the object's frame.
+
+        Inverse kinematics is not exact: without this, errors of many edges would add up to gaps.
+        """
+        turn = np.broadcast_to(quaternion[:, None], (*tip.shape[:2], 4))
+        point, outward = self.shape.nearest(rotate(inverse(turn), tip - position[:, None]))
+        return point + (self.geometry.tips.radius - _TOUCHING)[:, None] * outward
 
     def closed(self, point: Floats, normal: Floats, touch: Bools, origin: Floats) -> Bools:
         """Whether at least three contacts hold, as a force closure, ``(N,)``."""
@@ -176,17 +186,18 @@ class ContactModel:
         touch: Bools,
         origin: Floats,
         force: float,
-    ) -> Floats:
+    ) -> tuple[Floats, Floats]:
         """Set-points whose servos press with ``force`` [N] and carry hand and object, ``(N, d)``.
 
         The force is that of the mean finger; the shares are those of the stability QP, which leave
         the least wrench on the object: a thumb presses as much as the fingers against it together.
+        And what wrench they leave, which friction has to hold, as a share of the grip ``(N,)``.
         """
         scene, lever = self.scene, point - origin[:, None]
-        shares = stable_forces(
+        shares, residual, _ = stable_forces(
             lever, normal, touch, touch.astype(float),
             min_force=_WEAKEST, regulariser=1e-3, length=None,
-        ).forces  # fmt: skip
+        )  # fmt: skip
         mean = shares.sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
         each = force * shares / np.maximum(mean, 0.5)[:, None]
         share = np.maximum(touch.sum(axis=1), 1)[:, None, None]
@@ -198,4 +209,4 @@ class ContactModel:
         torque = np.swapaxes(jacobian, -1, -2) @ push[..., None]
         carried = self.geometry.carrying(reached.poses, scene.gravity)
         target = reached.q + (self.joints_of(torque[..., 0]) + carried) / scene.stiffness
-        return np.clip(target, scene.lower, scene.upper)
+        return np.clip(target, scene.lower, scene.upper), residual

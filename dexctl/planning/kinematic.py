@@ -56,13 +56,16 @@ class Kinematic(Expansion):
     """How far links stay away from the object and from other fingers [m]."""
     force: float = 1.5
     """With which the mean finger is pressed on [N]."""
+    residual_limit: float = 0.3
+    """No grasp is taken whose normal forces leave more than this to friction, as a share of the
+    grip."""
     batch: int = 256
     """How many nodes are expanded at a time."""
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            positive=("step", "shift", "landing", "friction", "force"),
+            positive=("step", "shift", "landing", "friction", "force", "residual_limit"),
             not_negative=("height", "margin"),
             fractions=("switch", "guided"),
         )
@@ -114,12 +117,15 @@ class _KinematicExpander:
         moved = (np.abs(twist).max(axis=1, initial=0.0) > 0) | (finger[rows] >= 0)
         refused["clearance"] += int((~moved).sum())
         rows, twist = rows[moved], twist[moved]
-        made = self._made(
+        made, residual = self._made(
             nodes.take(rows), done.take(moved), touch[rows], position[moved], quaternion[moved],
             twist, finger[rows] >= 0,
         )  # fmt: skip
+        balanced = residual <= self._config.residual_limit
+        refused["residual"] += int((~balanced).sum())
         within = problem.bounds.hold(problem.frame, made)
-        refused["bounds"] += int((~within).sum())
+        refused["bounds"] += int((balanced & ~within).sum())
+        within &= balanced
         action = np.column_stack([twist, finger[rows].astype(float), landing[rows]])
         return Offspring(made.take(within), rows[within], action[within], refused, 0)
 
@@ -214,7 +220,7 @@ class _KinematicExpander:
         scale = np.minimum(1.0, config.step / np.maximum(turn, 1e-9))
         scale = np.minimum(scale, config.shift / np.maximum(shift, 1e-9)) / config.substeps
         twist, free = twist * scale[:, None], free * scale[:, None]
-        inward = rotate(inverse(quaternion)[:, None], start.tip - position[:, None])
+        inward = model.on_surface(start.tip, position, quaternion)
         reached, total = start, np.zeros_like(twist)
         going = np.arange(len(twist))
         position, quaternion = position.copy(), quaternion.copy()
@@ -284,13 +290,17 @@ class _KinematicExpander:
         quaternion: Floats,
         twist: Floats,
         switched: Bools,
-    ) -> Nodes:
+    ) -> tuple[Nodes, Floats]:
+        """The nodes, and the wrench that their normal forces leave to friction."""
         point, normal = self._model.surface(done.tip, position, quaternion)
+        q_target, residual = self._model.pressed(
+            done, point, normal, touch, position, self._config.force
+        )
         turn = np.linalg.norm(twist[:, 3:], axis=1)
         seconds = np.maximum(turn / _TURNING_SPEED, np.where(switched, _SWITCH_TIME, 0.0))
-        return Nodes(
+        made = Nodes(
             q=done.q,
-            q_target=self._model.pressed(done, point, normal, touch, position, self._config.force),
+            q_target=q_target,
             object_position=position,
             object_quaternion=quaternion,
             joint_velocity=np.zeros_like(done.q),
@@ -299,6 +309,7 @@ class _KinematicExpander:
             rotation=self._problem.frame.rotation(quaternion, parents.rotation),
             cost=parents.cost + seconds,
         )
+        return made, residual
 
 
 def projected(constraint: Floats, wanted: Floats) -> Floats:
