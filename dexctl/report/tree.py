@@ -77,8 +77,15 @@ def _contacts(axes: Axes, tree: Tree, path: NDArray[np.intp]) -> None:
         axes.broken_barh(
             [(int(i) - 0.5, 1.0) for i in runs], (finger + 0.6, 0.8), color=finger_colour(finger)
         )
+    names = tree.header.action_names
+    moved = ""
+    if "finger" in names:  # the action that led to a node moved a finger
+        finger = tree.action[path, names.index("finger")]
+        at = np.flatnonzero(finger >= 0)
+        axes.plot(at, finger[at] + 1, "D", color="white", mec=INK, ms=4)
+        moved = " (diamonds: put down anew)"
     axes.set(
-        xlabel="node of the path", ylabel="finger", title="Fingertips in touch",
+        xlabel="node of the path", ylabel="finger", title=f"Fingertips in touch{moved}",
         yticks=range(1, touch.shape[1] + 1), xlim=(-0.5, len(path) - 0.5),
     )  # fmt: skip
 
