@@ -284,7 +284,7 @@ class _Bar:
         self._ends = nodes, seconds, until
         self._bar = stack.enter_context(progress(notes()))
         self._grown = self._bar.add_task("", total=1.0)
-        self._refused = self._bar.add_task("", total=1.0)
+        self._refused = self._bar.add_task("", total=1.0, visible=False)
 
     def __call__(self, now: Progress) -> None:
         done = [
@@ -304,4 +304,10 @@ class _Bar:
         )
         why = max(now.refused, key=lambda name: now.refused[name], default="")
         most = f", most for {why}" if why else ""
-        self._bar.update(self._refused, completed=share, description=f"accepted{most}")
+        # several processes do not tell what they refuse before they are done
+        self._bar.update(
+            self._refused,
+            completed=share,
+            description=f"accepted{most}",
+            visible=bool(now.refused),
+        )
