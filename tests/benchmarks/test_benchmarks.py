@@ -30,8 +30,8 @@ RUNS: dict[str, list[str]] = {
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "gaits_long.py": [*SHORT, "--objects", "cylinder"],
     "ablation.py": [*SHORT, "--variants", "complete", "no_governor"],
-    "allegro.py": SHORT,
     "hands.py": [*SHORT, "--hands", "dex5", "none.toml", "--objects", "sphere", "--searches", "1"],
+    "hands_turning.py": [*SHORT, "--hands", "wonik_allegro"],
     "learner.py": [
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
     ],
@@ -81,7 +81,7 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
         pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
     if script == "learning_ablation.py":
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]
-    if script == "allegro.py":
+    if script == "hands_turning.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]
     done = run(script, *arguments)
     assert done.returncode == 0, done.stderr
@@ -115,11 +115,12 @@ def test_interrupted_run_goes_on(tmp_path: Path) -> None:
     assert len(rows) == 2 * len(first)
 
 
-def test_allegro_without_its_files_is_skipped(tmp_path: Path) -> None:
-    done = run("allegro.py", *SHORT, "--out", tmp_path, "--folder", tmp_path)
-    assert done.returncode == 0
-    assert done.stdout.startswith("skipped: wonik_allegro")
-    assert list(tmp_path.iterdir()) == []
+def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
+    done = run("hands_turning.py", *SHORT, "--out", tmp_path, "--folder", tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "hands_turning.json").read_text())["trials"]
+    assert [row["hand"] for row in rows] == ["wonik_allegro", "leap_hand", "shadow_hand"]
+    assert all("not here" in row["missing"] for row in rows)
 
 
 def test_bad_settings_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,187 @@
+"""Hands of the menagerie turn objects: in-grasp manipulation, and the coordinated gait.
+
+The same controllers with no code of their own for any hand; what a hand holds, and where, stands in
+its toml. Needs the hands' files: a folder in DEXCTL_MENAGERIE, or the `mujoco-menagerie` package;
+hands that are missing are said so. `--resume` goes on with the rows that there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from common import (
+    FULL_TURN,
+    PALMS,
+    Figure,
+    Settings,
+    earlier,
+    outcome,
+    percent,
+    percent_interval,
+    progress,
+    settings,
+    trials,
+    write,
+)
+
+from dexctl import HandModel, controllers, hands
+from dexctl.exceptions import DexctlError, HandModelError
+from dexctl.igm import InGraspManipulationConfig
+from dexctl.sim import SceneConfig
+
+_LIGHT = {"object_mass": 0.05}
+# what suits each hand; without a width, that of its toml
+HELD: dict[str, dict[str, dict[str, float]]] = {
+    "wonik_allegro": {
+        "sphere": _LIGHT | {"object_size": 0.07},
+        "cylinder": _LIGHT | {"object_size": 0.065},
+        "cube": _LIGHT | {"object_size": 0.055},
+    },
+    "leap_hand": {"sphere": _LIGHT, "cube": _LIGHT},
+    "shadow_hand": {"sphere": _LIGHT, "cube": _LIGHT},
+}
+_SLOW = InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), stability_gain=0.01)
+# title: controller and what differs from its defaults
+CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "in-grasp manipulation": ("igm", {"config": _SLOW}),
+    (GAIT := "coordinated gait"): ("coordinated", {}),
+}
+OBJECTS = ("sphere", "cube")  # of a hand that is not among these
+TARGET = FULL_TURN  # rotation that is counted [rad]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    trials: int = 16
+    """Per object, palm direction and controller."""
+    seconds: float = 60.0
+    """Simulated, each trial."""
+    hands: tuple[str, ...] = tuple(HELD)
+    """Which hands."""
+    folder: Path | None = None
+    """Folder that holds the hands' folders."""
+
+
+def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
+    """One line for each hand, object and controller, over both palm directions."""
+    out = []
+    kinds = dict.fromkeys((row["hand"], row.get("object")) for row in rows)
+    for (hand, name), controller in product(kinds, CONTROLLERS):
+        mine = [
+            row
+            for row in rows
+            if (row["hand"], row.get("object"), row.get("controller")) == (hand, name, controller)
+        ]
+        if not mine:
+            continue
+        parts = [
+            f"palm {row['palm']} {row['rotation_rad']['median']:.1f} rad, "
+            f"{percent(row['reached_and_holding'])}, {percent(row['holding'])} hold"
+            for row in mine
+        ]
+        gaits = controller == GAIT
+        out.append(
+            Figure(
+                f"{hand}, {controller}, {name} of {1000 * mine[0]['width_m']:.0f} mm, "
+                f"{seconds:g} s: median rotation, trials that turn it once and still hold it, "
+                "trials that hold it",
+                "; ".join(parts),
+                "95 % turn once palm up, 80 % palm down" if gaits else "",
+                all(
+                    row["reached_and_holding"]["share"] >= (0.95 if row["palm"] == "up" else 0.8)
+                    for row in mine
+                )
+                if gaits
+                else None,
+            )
+        )
+    return out
+
+
+def measure(hand: HandModel, name: str, palm: str, given: Options) -> list[dict[str, Any]]:
+    """The rows of a hand with an object: one for each controller."""
+    options: dict[str, Any] = HELD.get(hand.name, {}).get(name, _LIGHT)
+    about = {"hand": hand.name, "object": name, "palm": palm}
+    config = SceneConfig(hand=hand.name, object=(name,), gravity=palm, **options)
+    try:
+        (scene,) = config.scenes(hand)
+        scene.settled  # noqa: B018 (the grasp is found here)
+    except DexctlError as error:
+        return [{**about, "error": str(error)}]
+    rows = []
+    for title, (kind, changes) in CONTROLLERS.items():
+        controller = controllers.make(kind, hand, **changes)
+        trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
+        rows.append(
+            {
+                **about,
+                "width_m": scene.object_width,
+                "mass_kg": scene.object_mass,
+                "controller": title,
+                **outcome(trace, TARGET),
+            }
+        )
+    return rows
+
+
+def line(row: dict[str, Any]) -> list[str]:
+    """A row for people."""
+    about = [row["hand"], row.get("object", ""), row.get("palm", "")]
+    if "rotation_rad" not in row:
+        return [*about, row.get("missing") or row["error"], *[""] * 5]
+    rotation = row["rotation_rad"]
+    return [
+        *about,
+        row["controller"],
+        f"{rotation['median']:.2f} ({rotation['p10']:.2f}-{rotation['p90']:.2f})",
+        f"{row['time_held_s']['median']:.0f}",
+        percent_interval(row["reached"]),
+        percent_interval(row["holding"]),
+        f"{100 * row['touched_by_more_than_fingertips']:.0f} %",
+    ]
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    rows = earlier("hands_turning", given, ("seed", "trials", "seconds"))
+    done = {(row["hand"], row.get("object"), row.get("palm")) for row in rows}
+
+    def save(*, say: bool) -> None:
+        table = {
+            "title": f"Hands of the menagerie, {given.seconds:g} s, {given.trials} trials each",
+            "header": [
+                "Hand", "Object", "Palm", "Controller", "Rotation: median (10-90 %) [rad]",
+                "Time held: median [s]", "Turned once before any drop (95 % interval)",
+                "Holding at the end (95 % interval)", "Time touching palm or links",
+            ],
+            "rows": [line(row) for row in rows],
+        }  # fmt: skip
+        figures = figures_of(rows, given.seconds)
+        write("hands_turning", given, figures, [table], say=say, trials=rows)
+
+    for name in given.hands:
+        try:
+            hand = hands.load(name, folder=given.folder)
+        except HandModelError as error:
+            progress(f"{name}: not here: {error}")
+            if (name, None, None) not in done:
+                rows.append({"hand": name, "missing": f"not here: {error}"})
+            continue
+        for turned, palm in product(HELD.get(name, OBJECTS), PALMS):
+            if (name, turned, palm) in done:
+                continue
+            found = measure(hand, turned, palm, given)
+            rows += found
+            for row in found:
+                progress(" | ".join(line(row)))
+            save(say=False)
+    save(say=True)
+
+
+if __name__ == "__main__":
+    main()
