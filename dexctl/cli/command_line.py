@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shlex
+import types
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -48,8 +49,7 @@ def _options(config: Any, base: Any, prefix: str = "") -> dict[str, list[str]]:
             continue
         value = getattr(config, field.name)
         before = _default(field) if base is None else getattr(base, field.name)
-        hint = hints[field.name]
-        marks = hint.__metadata__ if get_origin(hint) is Annotated else ()
+        marks = _marks(hints[field.name])
         names = (getattr(mark, "name", None) for mark in marks)  # of tyro.conf.arg
         named = next((name for name in names if name is not None), field.name).replace("_", "-")
         if is_dataclass(value):
@@ -58,6 +58,15 @@ def _options(config: Any, base: Any, prefix: str = "") -> dict[str, list[str]]:
         elif value != before:
             found[f"--{prefix}{named}"] = _words(prefix, named, value, marks)
     return found
+
+
+def _marks(hint: Any) -> tuple[Any, ...]:
+    """What a type is annotated with; of one that may be none, also what the other one is."""
+    if get_origin(hint) is Annotated:
+        return (*hint.__metadata__, *_marks(get_args(hint)[0]))
+    if get_origin(hint) in (Union, types.UnionType):
+        return tuple(mark for one in get_args(hint) for mark in _marks(one))
+    return ()
 
 
 def _default(field: Field[Any]) -> Any:
@@ -79,7 +88,7 @@ def _words(prefix: str, name: str, value: Any, marks: tuple[Any, ...]) -> list[s
 
 def _texts(value: Any, marks: tuple[Any, ...]) -> Iterator[str]:
     spec = next((mark for mark in marks if isinstance(mark, PrimitiveConstructorSpec)), None)
-    if spec is not None:
+    if spec is not None and value is not None:
         yield from spec.str_from_instance(value)
     elif isinstance(value, tuple | list):
         yield from (str(one) for one in value)

@@ -93,11 +93,6 @@ class SceneConfig:
             optional=("object_size", *_PARAMETERS),
         )
         check_whole(self, substeps=1)
-        if self.initial_states is not None and self.randomisation.size_range is not None:
-            raise InvalidInput(
-                f"size_range is {self.randomisation.size_range} and initial_states is "
-                f"{self.initial_states}, whose grasps are of one size; give one of them"
-            )
         if self.threads is not None:
             check_whole(self, threads=1)
 

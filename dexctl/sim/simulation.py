@@ -75,6 +75,11 @@ class Simulation:
         self.control_period, self.batch_shape = self.sim.control_period, (count,)
         self._plant: LimitedHand | GroupedSimulator = self.sim
         drawn = config.randomisation
+        if config.initial_states is not None and drawn.size_range is not None:
+            raise InvalidInput(
+                f"size_range is {drawn.size_range} and initial_states is {config.initial_states}, "
+                "whose grasps are of one size; give one of them"
+            )
         if config.limits or drawn.limits_hand:
             self._plant = LimitedHand(self.sim, config.limits, scenes[0].stiffness)
         usual = nominal(groups, config.sensing, config.limits, config.push)

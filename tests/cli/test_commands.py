@@ -218,7 +218,7 @@ def test_rotate_about_another_axis_with_limits(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         ("fly", "unknown command 'fly'; known: demo, rotate, check-grasp, plan, hands"),
-        ("rotate --hand claw", "unknown hand 'claw'; known: dex5, wonik_allegro"),
+        ("rotate --hand claw", "unknown hand 'claw'; known: dex5, "),
         ("rotate --object ball", "unknown object 'ball'; known: cube, sphere, cylinder"),
         ("rotate --controller walk", "unknown controller 'walk'; known: igm, switch, gait"),
         ("rotate --gravity left", "unknown gravity 'left'; known: up, down"),

@@ -17,6 +17,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.limits import HandLimits
 from dexctl.settings import NESTED, Vector
 from dexctl.sim import SceneConfig
+from dexctl.sim.randomisation import Randomisation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +90,8 @@ def learn(*words: str) -> Learn:
         (("--guidance.cloned", "none"), {}),
         (("--axis", "-z"), {"axis": "-z"}),
         (("--axis=-x",), {"axis": "-x"}),
+        (("--mass-range", "0.05,0.25"), {
+            "scene": SceneConfig(randomisation=Randomisation(mass_range=(0.05, 0.25)))}),
         (("--axis", "-1,0,0.5"), {"axis": (-1.0, 0.0, 0.5)}),
         (("some", "--object", "cube", "l_shape"), {
             "what": "some", "scene": SceneConfig(object=("cube", "l_shape"))}),
@@ -148,6 +151,8 @@ def test_help_is_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     ("words", "said"),
     [
         ("--gravity 1,2", "'1,2' is neither a name nor three finite numbers"),
+        ("--mass-range 1", "'1' is no range; expected two numbers, low,high"),
+        ("--mass-range 2,1", "mass_range is (2.0, 1.0); expected two finite numbers above 0 on"),
         ("--gravity 1,2,x", "'1,2,x' is neither a name nor three"),
         ("--gravity 1,2,nan", "'1,2,nan' is neither a name nor three"),
         ("--axis -1,2", "'-1,2' is neither a name nor three finite numbers"),

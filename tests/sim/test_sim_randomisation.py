@@ -254,8 +254,9 @@ def test_ranges_that_are_none(settings: dict[str, Any], said: str) -> None:
 
 
 def test_sizes_and_given_starts_do_not_go_together(tmp_path: Any) -> None:
+    config = SceneConfig(randomisation=EVERYTHING, initial_states=tmp_path / "states.npz")
     with pytest.raises(InvalidInput, match="size_range is .* and initial_states is"):
-        SceneConfig(randomisation=EVERYTHING, initial_states=tmp_path / "states.npz")
+        Simulation(config, 1, 0)
 
 
 def test_as_plain_values() -> None:

@@ -26,6 +26,8 @@ OTHERS: dict[str, Any] = {
     "scene.object_mesh": Path("thing.stl"),
     "scene.gravity": "down",
     "scene.initial_states": Path("states.npz"),
+    "scene.sensing.touch": "binary",
+    "scene.sensing.joint_touch.release_force": 0.3,
     "scene.threads": 3,
     "task.axis": (0.0, -2.0, 1.0),
 }
@@ -36,6 +38,8 @@ def another(path: str) -> Any:
     value = get(Protocol(), path)
     if path in OTHERS:
         return OTHERS[path]
+    if path.endswith("_range"):
+        return (0.25, 0.75)
     return 0.5 if value is None else value + (1 if isinstance(value, int) else 0.25)
 
 

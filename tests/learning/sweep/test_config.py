@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import fields
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.settings import changed as with_changes
 from dexctl.settings import from_plain, get, paths, to_plain
+from dexctl.sim.randomisation import Randomisation
 from learning.cli.sweep import Sweep
 from learning.config import TrainConfig
 from learning.evaluation.protocol import Protocol
@@ -143,12 +145,14 @@ OTHER = {
     "scene.object_mesh": Path("/there/mug.stl"),
     "scene.gravity": (1.0, 0.0, -9.0),
     "scene.initial_states": Path("/there/states.npz"),
+    "scene.sensing.touch": "binary",
     "scene.threads": 3,
     "task.axis": "-y",
 }
 DISTURBANCES = (
     "joint_noise", "position_noise", "normal_noise", "force_noise", "force_noise_share",
-    "sensor_latency", "push_force", "initial_states",
+    "sensor_latency", "push_force", "initial_states", "joint_offset",
+    *(one.name for one in fields(Randomisation)),
 )  # fmt: skip
 """What training has and evaluation has not, unless it says so."""
 
@@ -157,6 +161,8 @@ def other(path: str) -> Any:
     """A value of a setting of `Protocol` that is not its default."""
     if path in OTHER:
         return OTHER[path]
+    if path.endswith("_range"):
+        return (0.25, 0.75)
     value = get(Protocol(), path)
     return 0.125 if value is None else 2 * value or 0.25 if isinstance(value, float) else value + 2
 
