@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dexctl.sim.limited_hand import LimitedHand
     from dexctl.sim.objects import object_names
     from dexctl.sim.pushes import Push
+    from dexctl.sim.randomisation import Randomisation
     from dexctl.sim.record import Recorder, draw_failure
     from dexctl.sim.scene import Scene
     from dexctl.sim.scene_config import SceneConfig
@@ -37,6 +38,7 @@ __all__ = [
     "HandLimits",
     "LimitedHand",
     "Push",
+    "Randomisation",
     "Recorder",
     "Scene",
     "SceneConfig",
@@ -61,6 +63,7 @@ _HOMES = {
     "limited_hand": ("LimitedHand",),
     "objects": ("object_names",),
     "pushes": ("Push",),
+    "randomisation": ("Randomisation",),
     "record": ("Recorder", "draw_failure"),
     "scene": ("Scene",),
     "scene_config": ("SceneConfig",),
@@ -77,6 +80,7 @@ _WITHOUT_MUJOCO = (
     "grasp_states",
     "limited_hand",
     "pushes",
+    "randomisation",
     "scene_config",
     "sensing",
     "state_rows",

@@ -75,7 +75,9 @@ def test_a_free_object_turns_about_its_centre_of_mass(cylinder: Scene) -> None:
     sim.set_parameters(centre_of_mass=centre, gravity=np.zeros((1, 3)))
     away = np.array([[1.0, 0.0, 1.0]])
     sim.place_object(away, [[1.0, 0.0, 0.0, 0.0]])
-    np.testing.assert_allclose(sim.read().object_position, away)
+    placed = sim.read().object_position
+    assert placed is not None
+    np.testing.assert_allclose(placed, away)
     sim._physics[:, sim._layout.object_velocity] = [0, 0, 0, 3.0, 1.0, 2.0]
     start = away + centre
     for _ in range(5):
