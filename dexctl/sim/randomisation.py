@@ -96,6 +96,11 @@ class Randomisation:
         return self != Randomisation()
 
     @property
+    def draws_gravity(self) -> bool:
+        """Whether gravity's direction is drawn."""
+        return self.gravity_tilt > 0 or self.gravity_turning_range is not None
+
+    @property
     def limits_hand(self) -> bool:
         """Whether limits of the hand are drawn."""
         drawn = (self.speed_range, self.torque_range, self.action_latency_range)
@@ -253,7 +258,7 @@ class Randomiser:
             return getattr(self.config, _RANGES[name]) is not None
         if name == "centre_of_mass":
             return self.config.centre_of_mass > 0
-        return self.config.gravity_tilt > 0 or self.config.gravity_turning_range is not None
+        return self.config.draws_gravity
 
     def draw(self, chosen: Bools) -> None:
         """Draw for the episodes that begin in the environments chosen, ``(N,)``."""

@@ -37,7 +37,8 @@ class Evaluation:
         diverged: whether the simulation broke down.
         returns: sum of the task's reward up to the drop or the end [rad/s].
         fingertips_only: share of the time held in which nothing but fingertips touched.
-        drift: how far the object's centre went along gravity, at most, while it was held [m].
+        drift: how far the object's centre went along gravity, at most, while it was held; in any
+            direction where gravity is drawn for each episode [m].
         moments: times ``(K,)`` [s], from 0 to the end.
         rotations: at these moments, standing still from the drop on, ``(K, N)`` [rad].
     """
@@ -69,7 +70,9 @@ class Evaluation:
             diverged=trace.diverged[-1],
             returns=returns_of(trace, scene, protocol.task),
             fingertips_only=alone / held.sum(axis=0),
-            drift=drift_of(trace, scene.gravity),
+            drift=drift_of(
+                trace, None if protocol.scene.randomisation.draws_gravity else scene.gravity
+            ),
             moments=trace.time[moments],
             rotations=trace.rotation[moments],
         )
@@ -120,12 +123,15 @@ class Evaluation:
         return found | {"diverged": int(self.diverged.sum())}
 
 
-def drift_of(trace: Trace, gravity: Floats) -> Floats:
+def drift_of(trace: Trace, gravity: Floats | None) -> Floats:
     """How far the object went along ``gravity`` ``(3,)`` at most while held, ``(N,)`` [m].
 
-    0 where it never was below its start, or where there is no gravity.
+    0 where it never was below its start, or where there is no gravity. None: in any direction.
     """
-    size = float(np.linalg.norm(gravity))
-    direction = np.asarray(gravity, float) / size if size > 0 else np.zeros(3)
-    fallen = (trace.object_position - trace.object_position[0]) @ direction
-    return np.where(trace.held, fallen, 0.0).max(axis=0)
+    moved = trace.object_position - trace.object_position[0]
+    if gravity is None:
+        far = np.linalg.norm(moved, axis=-1)
+    else:
+        size = float(np.linalg.norm(gravity))
+        far = moved @ (np.asarray(gravity, float) / size if size > 0 else np.zeros(3))
+    return np.where(trace.held, far, 0.0).max(axis=0)

@@ -67,6 +67,9 @@ def test_drift_is_along_gravity_and_while_it_is_held() -> None:
     np.testing.assert_allclose(drift_of(trace, np.array([0.0, 0.0, -9.81])), [0.03, 0.0])
     np.testing.assert_allclose(drift_of(trace, np.array([0.0, 0.0, 2.0])), [0.02, 0.3])
     np.testing.assert_array_equal(drift_of(trace, np.zeros(3)), [0.0, 0.0])
+    position[2, 0, :2] = [0.03, 0.04]
+    far = np.sqrt(0.03**2 + 0.03**2 + 0.04**2)
+    np.testing.assert_allclose(drift_of(trace, None), [far, 0.3])  # whichever way gravity pulls
 
 
 @pytest.mark.parametrize(
