@@ -11,7 +11,6 @@ they are first named, and bring casadi, proxsuite, mink or MuJoCo when these are
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 from dexctl import hands
@@ -35,11 +34,7 @@ if TYPE_CHECKING:
     from dexctl.joint_touch import JointTouch
     from dexctl.switch import ContactSwitch
     from dexctl.touch import TouchConfig
-
-try:
-    __version__ = version("dexctl")
-except PackageNotFoundError:  # run from a checkout that was never installed
-    __version__ = "0+unknown"
+    from dexctl.version import __version__
 
 __all__ = [
     "ContactSwitch",
@@ -81,6 +76,7 @@ _LAZY: dict[str, tuple[str, str | None]] = {
     "ContactSwitch": ("dexctl.switch", "ContactSwitch"),
     "CoordinatedGait": ("dexctl.gait", "CoordinatedGait"),
     "FingerGaiting": ("dexctl.gait", "FingerGaiting"),
+    "__version__": ("dexctl.version", "__version__"),
 }
 
 

@@ -8,13 +8,16 @@ entry-point group ``dexctl.hands``: the name is the hand's, the object is the pa
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dexctl.exceptions import HandModelError, UnknownName
 from dexctl.files import is_path
 from dexctl.hand import HandModel
 from dexctl.hand_config import HandConfig
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "dexctl.hands"
 _OWN = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.toml"))}
@@ -23,6 +26,8 @@ _OWN = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.toml"))
 @cache
 def _added() -> dict[str, EntryPoint]:
     """What other packages add; dexctl's own names come first."""
+    from importlib.metadata import entry_points  # costs as much as the rest of the module
+
     return {one.name: one for one in entry_points(group=GROUP) if one.name not in _OWN}
 
 

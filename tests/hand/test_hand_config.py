@@ -194,7 +194,7 @@ def test_other_packages_add_hands(
     path = toml(tmp_path, "")
     made = HandConfig(description=two, name="made", fingertips=TIPS)
     points = [Point("by_path", path), Point("made", made), Point("wrong", 3), Point("dex5", path)]
-    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
     registry._added.cache_clear()
     try:
         assert {"by_path", "made", "dex5"} <= set(dexctl.hands.names())
