@@ -122,24 +122,33 @@ def _urdf_shape(path: Path, geometry: ElementTree.Element | None) -> Floats:
     return _outermost(vertices(file)) * scale
 
 
-def find_mesh(urdf: Path, name: str) -> Path | None:
-    """The file of a mesh that MuJoCo can read, or None.
+def mesh_places(urdf: Path, name: str) -> list[Path]:
+    """Where the file of a mesh may be, the likeliest place first.
 
     ``package://NAME/REST`` is looked for as ``NAME/REST`` and ``REST`` in the folders above the
-    URDF and in those of ROS_PACKAGE_PATH. A mesh of another format is replaced by an STL or OBJ of
-    the same name beside it.
+    URDF and in those of ROS_PACKAGE_PATH.
     """
     folder = urdf.absolute().parent
     scheme, _, rest = name.rpartition("://")
-    places = [folder / rest]
-    if scheme in ("package", "model"):
-        package, _, inside = rest.partition("/")
-        above = (folder, *folder.parents)
-        places = [parent / rest for parent in above]
-        places += [parent / inside for parent in above if parent.name == package]
-        roots = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-        places += [Path(root) / rest for root in roots if root]
-        places += [parent / inside for parent in above[:3]]
+    if scheme not in ("package", "model"):
+        return [folder / rest]
+    package, _, inside = rest.partition("/")
+    above = (folder, *folder.parents)
+    roots = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    return [
+        *(parent / rest for parent in above),
+        *(parent / inside for parent in above if parent.name == package),
+        *(Path(root) / rest for root in roots if root),
+        *(parent / inside for parent in above[:3]),
+    ]
+
+
+def find_mesh(urdf: Path, name: str) -> Path | None:
+    """The file of a mesh that can be read here, or None.
+
+    A mesh of another format is replaced by an STL or OBJ of the same name beside it.
+    """
+    places = mesh_places(urdf, name)
     for place in places:
         for suffix in (place.suffix, *READABLE):
             found = place.with_suffix(suffix)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import mujoco
+
+from dexctl.description.geometry import mesh_places
 
 _MESHES = (".obj", ".stl", ".msh")  # what MuJoCo reads
 
@@ -13,21 +14,9 @@ _MESHES = (".obj", ".stl", ".msh")  # what MuJoCo reads
 def find_mesh(urdf: Path, name: str) -> tuple[Path | None, str]:
     """Where a mesh of a URDF is, and why it is not to be had.
 
-    Packages are looked for above the file and in ROS_PACKAGE_PATH. In the place of a file of
-    another format, one of the same name that MuJoCo can read is as good.
+    In the place of a file of another format, one of the same name that MuJoCo can read is as good.
     """
-    folder = urdf.absolute().parent
-    scheme, _, rest = name.rpartition("://")
-    if scheme in ("package", "model"):
-        package, _, inside = rest.partition("/")
-        above = (folder, *folder.parents)
-        places = [parent / rest for parent in above]
-        places += [parent / inside for parent in above if parent.name == package]
-        roots = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-        places += [Path(root) / rest for root in roots if root]
-        places += [parent / inside for parent in above[:3]]
-    else:
-        places = [folder / rest]
+    places = mesh_places(urdf, name)
     for place in places:
         for suffix in dict.fromkeys((place.suffix, *_MESHES)):
             found = place.with_suffix(suffix)
