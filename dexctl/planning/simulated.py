@@ -121,7 +121,7 @@ class SimulatedExpander:
             steps += used
             found.append(rows[stable])
             open_[ask[stable]] = False
-        return np.concatenate([*found, np.empty(0, np.intp)]), steps
+        return np.sort(np.concatenate([*found, np.empty(0, np.intp)])), steps
 
     def _every(
         self, order: NDArray[np.intp], hopeful: Bools, refused: Counter[str]

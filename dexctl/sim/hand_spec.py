@@ -35,7 +35,7 @@ class HandSpec(NamedTuple):
     Attributes:
         spec: nothing in it moves but the hand's joints; no keyframes and no sensors; solver,
             integrator, flags and sizes are dexctl's own (MuJoCo's defaults but for a timestep of
-            5 ms, implicitfast, elliptic cones and impratio 10).
+            5 ms, implicitfast, elliptic cones and impratio 100).
         notes: a line for everything that the file lacks, that was mended or left out.
     """
 

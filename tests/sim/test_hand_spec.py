@@ -50,7 +50,7 @@ def test_no_option_of_the_file_reaches_the_simulation(changed_dex5: Hands) -> No
     for name, value in options(found.model).items():
         np.testing.assert_array_equal(value, ours[name], err_msg=name)
     assert (ours["iterations"], ours["ls_iterations"], ours["solver"]) == (100, 50, 2)
-    assert (ours["integrator"], ours["cone"], ours["impratio"]) == (3, 1, 10)
+    assert (ours["integrator"], ours["cone"], ours["impratio"]) == (3, 1, 100)
     assert ours["timestep"] == 0.005
     assert found.model.narena == Scene.build("dex5").model.narena
     np.testing.assert_array_equal(found.settled.qpos, Scene.build("dex5").settled.qpos)
