@@ -1,4 +1,4 @@
-"""``dexctl plan``: grow a tree of grasps; ``dexctl plan show``: film and draw one."""
+"""``dexctl plan``: grow a tree of grasps; ``plan show``: film and draw one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -14,6 +14,7 @@ import tyro
 from dexctl.cli.checks import check_count, make_folder
 from dexctl.cli.output import notes, print_json, progress, results, table, to_json
 from dexctl.cli.parsing import Switch
+from dexctl.cli.plan_states import Sample, States
 from dexctl.cli.trials import check_viz
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning import (
@@ -31,15 +32,13 @@ from dexctl.planning import (
     holding,
 )
 from dexctl.planning.grow import check_ends
-from dexctl.settings import NESTED, Vector, from_plain
-from dexctl.sim import SceneConfig
+from dexctl.planning.tree import TREE
+from dexctl.settings import NESTED, Vector
+from dexctl.sim import Scene, SceneConfig
 from dexctl.statistics import wilson
 from dexctl.validation import unit_axis
 
-if TYPE_CHECKING:
-    from dexctl.sim import Scene
-
-TREE, FIGURES = "tree.npz", "plan.json"
+FIGURES = "plan.json"
 _CHECKED = 256  # nodes of a tree grown without physics that are held in simulation
 
 
@@ -190,9 +189,8 @@ class Show:
     def run(self) -> int:
         check_viz("dexctl plan show")
         source = self.tree.expanduser()
-        source = source / TREE if source.is_dir() else source
         tree = Tree.load(source)
-        folder = make_folder(self.out or source.parent)
+        folder = make_folder(self.out or (source if source.is_dir() else source.parent))
         found = describe(tree)
         (path,) = tree.paths(1)
         found["path"] = path.tolist()
@@ -202,7 +200,7 @@ class Show:
         written = [folder / "tree.png"]
         with progress(notes()) as bar:
             task = bar.add_task("drawing the best path", total=len(path))
-            film(scene_of(tree), tree, path, folder / "path.mp4",
+            film(tree.header.build_scene(), tree, path, folder / "path.mp4",
                  lambda done: bar.update(task, completed=done))  # fmt: skip
         written.append(folder / "path.mp4")
         notes().print(f"written: {' and '.join(map(str, written))}")
@@ -213,28 +211,7 @@ class Show:
         return 0
 
 
-COMMANDS = {"": Plan, "show": Show}
-
-
-def scene_of(tree: Tree) -> Scene:
-    """The scene that a tree is of.
-
-    Raises:
-        InvalidInput: it was grown in a scene that is not one of `SceneConfig`.
-    """
-    header = tree.header
-    if header.scene is None:
-        from dexctl.sim import Scene
-
-        return Scene.build(
-            header.hand,
-            header.object,
-            header.gravity,
-            object_mass=header.object_mass,
-            object_size=header.object_width or None,
-        )
-    (scene,) = from_plain(SceneConfig, header.scene).scenes()
-    return scene
+COMMANDS = {"": Plan, "show": Show, "states": States, "sample": Sample}
 
 
 def describe(tree: Tree) -> dict[str, Any]:

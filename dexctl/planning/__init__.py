@@ -13,6 +13,7 @@ from dexctl.planning.processes import grow_in_processes
 from dexctl.planning.random_actions import RandomActions
 from dexctl.planning.sampling import GraspSampling, SampledGrasps, sample_grasps
 from dexctl.planning.stability import Stability
+from dexctl.planning.starts import path_states
 from dexctl.planning.tree import Tree
 
 __all__ = [
@@ -36,5 +37,6 @@ __all__ = [
     "grow",
     "grow_in_processes",
     "holding",
+    "path_states",
     "sample_grasps",
 ]

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.sim import Scene
+from dexctl.settings import from_plain
+from dexctl.sim import Scene, SceneConfig
 
 FORMAT = 1
 _SAME = (
@@ -85,6 +86,19 @@ class TreeHeader:
             settings=dict(settings),
             versions={name: version(name) for name in ("dexctl", "mujoco", "numpy")},
             seed=int(seed),
+        )
+
+    def build_scene(self) -> Scene:
+        """The scene that the tree is of: as it was configured, else by what the header says."""
+        if self.scene is not None:
+            (scene,) = from_plain(SceneConfig, self.scene).scenes()
+            return scene
+        return Scene.build(
+            self.hand,
+            self.object,
+            self.gravity,
+            object_mass=self.object_mass,
+            object_size=self.object_width or None,
         )
 
     def to_plain(self) -> dict[str, Any]:

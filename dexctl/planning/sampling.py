@@ -24,6 +24,7 @@ from dexctl.switch.landing import split, turned
 from dexctl.validation import check_name, check_numbers, check_whole
 
 PLACES = ("fingertips", "joints")
+_PALM = np.array([0.0, 0.0, 1.0])  # hands are described so that their palm looks along z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,8 @@ class GraspSampling:
     """Fingertips are put up to this far inside the surface, or outside of it: each is about as
     likely to touch as not [m]."""
     azimuth: float = 0.5
-    """They stand within this about the axis of where the settled grasp has them [rad]."""
+    """They stand within this of where the settled grasp has them, about the direction that the palm
+    looks in (z) [rad]."""
     height: float = 0.02
     """And within this of the object's centre along it [m]."""
     settle_seconds: float = 0.5
@@ -103,7 +105,8 @@ def sample_grasps(
         scene: hand, object and gravity.
         count: how many distinct ones are wanted.
         sampling: None: its defaults.
-        axis: about which the object lies any way round.
+        axis: about which the object lies any way round. Fingertips stand around the direction that
+            the palm looks in, whatever the axis.
         seed: of the random numbers.
         metric: for what counts as distinct; None: its default.
         stability: None: the default check; its `min_contacts` are those of ``sampling``.
@@ -160,7 +163,7 @@ class _Draws:
         self._model = ContactModel(scene, friction=0.5, margin=0.0)
         geometry = self._model.geometry
         self._tip = geometry.poses(root.q).centres(geometry.tips)
-        flat = split(self._tip[0] - frame.position, frame.axis)[1]
+        flat = split(self._tip[0] - frame.position, _PALM)[1]
         self._neutral = flat / np.maximum(np.linalg.norm(flat, axis=-1, keepdims=True), 1e-9)
 
     def __call__(self, rng: np.random.Generator) -> tuple[Nodes, Bools]:
@@ -200,7 +203,7 @@ class _Draws:
         if config.place == "joints":
             low, high = np.maximum(scene.lower, -np.pi), np.minimum(scene.upper, np.pi)
             return rng.uniform(low, high, (count, scene.hand.nq)), np.ones(count, bool)
-        model, axis, m = self._model, self._frame.axis, scene.hand.n_fingers
+        model, axis, m = self._model, _PALM, scene.hand.n_fingers
         where = rng.uniform(-config.azimuth, config.azimuth, (count, m))
         direction = turned(np.broadcast_to(self._neutral, (count, m, 3)), where, axis)
         turn = np.broadcast_to(quaternion[:, None], (count, m, 4))

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import networkx
 
 Indices = NDArray[np.intp]
+TREE = "tree.npz"
+"""Name of the file in a folder."""
 _COLUMNS = (*NODE_FIELDS, "parent", "action", "expansion")
 
 
@@ -126,19 +128,22 @@ class Tree:
         return Frame.of(self.header.axis, root)
 
     def states(self, index: ArrayLike | None = None) -> GraspStates:
-        """Nodes as grasp states, at rest: all of them, or those of ``index``."""
-        nodes = self.nodes if index is None else self.nodes.take(index)
-        if not len(nodes):
+        """Nodes as grasp states, at rest, with parents: all of them, or those of ``index``."""
+        header, nodes = self.header, self.nodes
+        if index is not None and not np.size(index):
             raise InvalidInput("no nodes are chosen; expected at least one")
-        return GraspStates(
-            hand=self.header.hand,
+        states = GraspStates(
+            hand=header.hand,
             q=nodes.q.copy(),
             q_target=nodes.q_target.copy(),
             object_position=nodes.object_position.copy(),
             object_quaternion=nodes.object_quaternion.copy(),
-            object=np.full(len(nodes), self.header.object),
-            joint_names=np.array(self.header.joint_names),
+            object=np.full(len(nodes), header.object),
+            joint_names=np.array(header.joint_names),
+            parent=self.parent,
+            meta=json.dumps(header.to_plain()),
         )
+        return states if index is None else states.take(index)
 
     def path_to(self, node: int) -> Indices:
         """The nodes from the root to ``node``."""
@@ -226,11 +231,13 @@ class Tree:
 
     @classmethod
     def load(cls, path: str | Path) -> Tree:
-        """Read what `save` wrote.
+        """Read what `save` wrote; of a folder, its tree.npz.
 
         Raises:
             InvalidInput: no such file, not a tree, or one that was cut or changed.
         """
+        path = Path(path).expanduser()
+        path = path / TREE if path.is_dir() else path
         what = f"tree {str(path)!r}"
         try:
             with np.load(path, allow_pickle=False) as stored:

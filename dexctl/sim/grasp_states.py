@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
 from dexctl.files import aside
@@ -16,6 +17,7 @@ from dexctl.hand import HandModel
 from dexctl.state import Floats
 
 _ROWS = ("q", "q_target", "object_position", "object_quaternion", "object")
+_OPTIONAL = ("weight", "parent", "meta")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,6 +32,10 @@ class GraspStates:
         object_quaternion: wxyz, unit, ``(S, 4)``.
         object: name of the object of each, ``(S,)``.
         joint_names: of the hand, ``(d,)``, in the order of ``q``.
+        weight: how likely each is drawn, above 0, ``(S,)``; None: all alike.
+        parent: the row that each was reached from, -1 where there is none, ``(S,)``; None: not
+            known. Parents may stand anywhere.
+        meta: where they are from, as the JSON text of whoever made them; for people.
 
     Raises:
         InvalidInput: shapes that do not belong together, or numbers that are not finite.
@@ -42,6 +48,9 @@ class GraspStates:
     object_quaternion: Floats
     object: NDArray[np.str_]
     joint_names: NDArray[np.str_]
+    weight: Floats | None = None
+    parent: NDArray[np.int64] | None = None
+    meta: str = ""
 
     def __post_init__(self) -> None:
         for name in ("object", "joint_names"):
@@ -74,6 +83,40 @@ class GraspStates:
         if (np.abs(norm - 1.0) > 1e-3).any():
             bad = float(norm[np.argmax(np.abs(norm - 1.0))])
             raise InvalidInput(f"GraspStates.object_quaternion has norm {bad:.4g}; expected 1")
+        object.__setattr__(self, "meta", str(self.meta))
+        self._check_weight()
+        self._check_parent()
+
+    def _check_weight(self) -> None:
+        if self.weight is None:
+            return
+        weight = np.asarray(self.weight)
+        if weight.shape != (len(self),) or weight.dtype.kind not in "iuf":
+            raise InvalidInput(
+                f"GraspStates.weight has shape {weight.shape} of {weight.dtype}; expected "
+                f"{(len(self),)} numbers"
+            )
+        if not (np.isfinite(weight) & (weight > 0)).all():
+            raise InvalidInput("GraspStates.weight has numbers that are not finite and above 0")
+        object.__setattr__(self, "weight", weight.astype(float))
+
+    def _check_parent(self) -> None:
+        if self.parent is None:
+            return
+        parent = np.asarray(self.parent)
+        if parent.shape != (len(self),) or parent.dtype.kind not in "iu":
+            raise InvalidInput(
+                f"GraspStates.parent has shape {parent.shape} of {parent.dtype}; expected "
+                f"{(len(self),)} whole numbers"
+            )
+        wrong = (parent < -1) | (parent >= len(self)) | (parent == np.arange(len(self)))
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise InvalidInput(
+                f"GraspStates.parent of row {i} is {parent[i]}; expected another of the "
+                f"{len(self)} rows, or -1"
+            )
+        object.__setattr__(self, "parent", parent.astype(np.int64))
 
     def __len__(self) -> int:
         return len(self.object)
@@ -84,14 +127,68 @@ class GraspStates:
         Raises:
             InvalidInput: there are none.
         """
-        rows = self.object == name
-        arrays = {field: getattr(self, field)[rows] for field in _ROWS}
-        return GraspStates(hand=self.hand, joint_names=self.joint_names, **arrays)
+        return self.take(np.flatnonzero(self.object == name))
+
+    def take(self, index: ArrayLike) -> GraspStates:
+        """Those of ``index``, in its order.
+
+        A parent that is left out is one no more; where rows are taken twice, nobody's is known.
+
+        Raises:
+            InvalidInput: there are none.
+        """
+        rows = np.arange(len(self))[np.asarray(index)]
+        parent = None
+        if self.parent is not None and len(np.unique(rows)) == len(rows):
+            new = np.full(len(self) + 1, -1, np.int64)  # the last stands for none
+            new[rows] = np.arange(len(rows))
+            parent = new[self.parent[rows]]
+        return GraspStates(
+            hand=self.hand,
+            joint_names=self.joint_names,
+            weight=None if self.weight is None else self.weight[rows],
+            parent=parent,
+            meta=self.meta,
+            **{field: getattr(self, field)[rows] for field in _ROWS},
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[GraspStates]) -> GraspStates:
+        """All of ``parts``, of one hand, one after the other; weights count as they are.
+
+        Raises:
+            InvalidInput: none, or of different hands.
+        """
+        if not parts:
+            raise InvalidInput("concatenate got no grasp states; expected some")
+        first = parts[0]
+        for one in parts:
+            if tuple(one.joint_names) != tuple(first.joint_names):
+                raise InvalidInput(
+                    f"the grasp states are of {first.hand!r} and {one.hand!r}; expected one hand"
+                )
+        shifts = np.cumsum([0, *map(len, parts)])
+        parents = [
+            np.full(len(one), -1, np.int64)
+            if one.parent is None
+            else np.where(one.parent < 0, -1, one.parent + shift)
+            for one, shift in zip(parts, shifts, strict=False)
+        ]
+        weights = [np.ones(len(one)) if one.weight is None else one.weight for one in parts]
+        return cls(
+            hand=first.hand,
+            joint_names=first.joint_names,
+            weight=None if all(p.weight is None for p in parts) else np.concatenate(weights),
+            parent=None if all(p.parent is None for p in parts) else np.concatenate(parents),
+            meta=first.meta if all(one.meta == first.meta for one in parts) else "",
+            **{name: np.concatenate([getattr(one, name) for one in parts]) for name in _ROWS},
+        )
 
     def save(self, path: str | Path) -> None:
         """Write the file, whole or not at all."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         with aside(Path(path)) as part, part.open("wb") as stream:
-            np.savez(stream, **{field.name: getattr(self, field.name) for field in fields(self)})
+            np.savez(stream, **{name: v for name, v in values.items() if v is not None})
 
     @classmethod
     def load(cls, path: str | Path) -> GraspStates:
@@ -104,12 +201,13 @@ class GraspStates:
         what = f"grasp states {str(path)!r}"
         try:
             with np.load(path, allow_pickle=False) as stored:
-                missing = [name for name in names if name not in stored]
+                missing = [name for name in names if name not in stored and name not in _OPTIONAL]
                 values = {name: stored[name] for name in names if name in stored}
         except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InvalidInput(f"{what} cannot be read: {error}") from None
         if missing:
-            raise InvalidInput(f"{what} lacks {', '.join(missing)}; expected {', '.join(names)}")
+            needed = ", ".join(name for name in names if name not in _OPTIONAL)
+            raise InvalidInput(f"{what} lacks {', '.join(missing)}; expected {needed}")
         try:
             return cls(**values)
         except InvalidInput as error:
@@ -117,7 +215,7 @@ class GraspStates:
 
 
 class StateSampler:
-    """Draws, for each environment of a batch, a state of its own object.
+    """Draws, for each environment of a batch, a state of its own object, by the states' weights.
 
     Args:
         states: what to draw from.
@@ -147,7 +245,16 @@ class StateSampler:
         wanted = np.array(objects)
         self._first = np.searchsorted(names, wanted, side="left")
         self._count = np.searchsorted(names, wanted, side="right") - self._first
+        self._until: Floats | None = None
+        if states.weight is not None:
+            self._until = np.concatenate([[0.0], np.cumsum(states.weight[self._order])])
 
     def __call__(self, fraction: Floats) -> NDArray[np.intp]:
         """The state for each environment, from uniform numbers ``(N,)`` in [0, 1)."""
-        return self._order[self._first + (fraction * self._count).astype(np.intp)]
+        if self._until is None:
+            return self._order[self._first + (fraction * self._count).astype(np.intp)]
+        last = self._first + self._count
+        low, high = self._until[self._first], self._until[last]
+        place = np.searchsorted(self._until, low + fraction * (high - low), side="right") - 1
+        # rounding may lead past the last of the object's own
+        return self._order[np.clip(place, self._first, last - 1)]

@@ -193,6 +193,16 @@ class GroupedSimulator:
         return self._gather(lambda group: group.object_angular_velocity)
 
     @property
+    def object_velocity(self) -> Floats:
+        """Linear [m/s] and angular [rad/s], ``(N, 6)``, as the simulation has it."""
+        return self._gather(lambda group: group.object_velocity)
+
+    @property
+    def fingertip_force(self) -> Floats:
+        """Of each fingertip on the object, ``(N, m, 3)`` [N]."""
+        return self._gather(lambda group: group.fingertip_force)
+
+    @property
     def start_position(self) -> Floats:
         """The object's centre after the last reset, ``(N, 3)`` [m]."""
         return self._gather(lambda group: group.start_position)

@@ -75,20 +75,13 @@ class Simulation:
         self.control_period, self.batch_shape = self.sim.control_period, (count,)
         self._plant: LimitedHand | GroupedSimulator = self.sim
         drawn = config.randomisation
-        if config.initial_states is not None and drawn.size_range is not None:
-            raise InvalidInput(
-                f"size_range is {drawn.size_range} and initial_states is {config.initial_states}, "
-                "whose grasps are of one size; give one of them"
-            )
         if config.limits or drawn.limits_hand:
             self._plant = LimitedHand(self.sim, config.limits, scenes[0].stiffness)
         usual = nominal(groups, config.sensing, config.limits, config.push)
         self.randomiser = Randomiser(drawn, usual, Streams(seeds + _RANDOM_SEED, (count,)))
         self._grasps = SizedGrasps.find(config, groups) if drawn else None
-        self._sampler = None
-        if config.initial_states is not None:
-            states = GraspStates.load(config.initial_states)
-            self._sampler = StateSampler(states, self.hand, self.objects)
+        self._sampler: StateSampler | None = None
+        self.start_from(None)
         self._draws = Streams(seeds + _DRAW_SEED, (count,))
         self._pusher = Pusher(
             config.push, Streams(seeds + _PUSH_SEED, (count,)), self.control_period
@@ -158,6 +151,38 @@ class Simulation:
         self.read()
         self._put(states, rows, 0.0, chosen)
         self._start(chosen)
+
+    def start_from(self, states: GraspStates | None) -> None:
+        """From now on, begin episodes in these states, each with its weight, at rest and disturbed.
+
+        In place of ``initial_states``; None: as the configuration says again. `save` does not hold
+        them: whoever gave them gives them again before `restore`.
+
+        Raises:
+            InvalidInput: states of another hand, an object without states, or sizes that are drawn.
+        """
+        file, sizes = self.config.initial_states, self.config.randomisation.size_range
+        if sizes is not None and (states is not None or file is not None):
+            what = file if states is None else "given"
+            raise InvalidInput(
+                f"size_range is {sizes} and initial_states is {what}, whose grasps are of one "
+                "size; give one of them"
+            )
+        if states is None and file is not None:
+            states = GraspStates.load(file)
+        self._sampler = None if states is None else StateSampler(states, self.hand, self.objects)
+
+    def scale_gravity(self, share: float) -> None:
+        """Let this share of the scene's gravity act from now on, in every environment.
+
+        Raises:
+            InvalidInput: not a number from 0 on, or gravity is drawn for each episode.
+        """
+        if not (np.isfinite(share) and share >= 0):
+            raise InvalidInput(f"share is {share}; expected a finite number, at least 0")
+        if self.config.randomisation.draws_gravity:
+            raise InvalidInput("gravity is drawn for each episode; it cannot be scaled besides")
+        self.sim.set_parameters(gravity=share * self.randomiser.usual.gravity)
 
     def read(self) -> GraspState:
         """What the sensors tell, ``(N,)``; the same however often it is asked within a step."""

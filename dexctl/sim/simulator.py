@@ -62,9 +62,13 @@ class BatchSimulator:
         other_contact: force between the object and everything but fingertips, ``(N,)`` [N].
         object_angular_velocity: ``(N, 3)`` [rad/s], hand's frame, from the difference of poses over
             the last control period (the simulation's own velocity carries its vibrations).
+        object_velocity: the simulation's own, of the centre of mass, linear [m/s] and angular
+            [rad/s], ``(N, 6)``, world frame.
+        fingertip_force: with which each fingertip acts on the object, friction included,
+            ``(N, m, 3)`` [N], world frame.
         start_position: the object's centre after the last reset, ``(N, 3)`` [m].
 
-    The last four have no leading dimension where ``num_envs`` is None.
+    The last six have no leading dimension where ``num_envs`` is None.
     """
 
     def __init__(
@@ -513,6 +517,17 @@ class BatchSimulator:
     @property
     def object_angular_velocity(self) -> Floats:
         return self._out(self._angular_velocity.copy())
+
+    @property
+    def object_velocity(self) -> Floats:
+        found = self._physics[:, self._layout.object_velocity].copy()
+        # MuJoCo has the angular part in the object's frame
+        found[:, 3:] = rotate(self._physics[:, self._layout.quaternion], found[:, 3:])
+        return self._out(found)
+
+    @property
+    def fingertip_force(self) -> Floats:
+        return self._out(self._touch.net_force.copy())
 
     @property
     def start_position(self) -> Floats:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from dexctl.rotations import cross
 from dexctl.state import Bools, Floats
 
 _FIELD = mujoco.mjtConDataField
@@ -14,8 +15,10 @@ _MAXFORCE, _NETFORCE = 2, 3  # the sensor's `reduce` codes: strongest contacts f
 # Contacts kept per fingertip, strongest first. A tip seldom has more: one on a sphere or a mesh,
 # two where a capsule lies along a face or two parts of an object meet.
 _SLOTS = 3
-_TIP_FIELDS = ("FOUND", "FORCE", "POS", "NORMAL")
-_WIDTH = 10  # found 1, force 3 (contact frame: normal first), position 3, normal 3
+_TIP_FIELDS = ("FOUND", "FORCE", "POS", "NORMAL", "TANGENT")
+# found 1, force 3 (contact frame: normal, tangent, and what is across both), position 3, normal 3,
+# tangent 3
+_WIDTH = 13
 
 
 class TouchReading(NamedTuple):
@@ -27,6 +30,8 @@ class TouchReading(NamedTuple):
         normal: unit, from the fingertip into the object, ``(N, m, 3)``.
         force: normal force, ``(N, m)`` [N].
         other_contact: force between the object and everything but the fingertips, ``(N,)`` [N].
+        net_force: with which each fingertip acts on the object, friction included, ``(N, m, 3)``
+            [N], world frame; also where it is too weak to count as touch.
     """
 
     in_contact: Bools
@@ -34,6 +39,7 @@ class TouchReading(NamedTuple):
     normal: Floats
     force: Floats
     other_contact: Floats
+    net_force: Floats
 
     def placed(self, mask: Bools, new: TouchReading) -> TouchReading:
         """This reading with the environments in ``mask`` ``(N,)`` from the rows of ``new``."""
@@ -95,7 +101,7 @@ class TouchSensors:
         """Readings of ``data`` ``(N, columns)``.
 
         The force of a finger is the sum over its contacts, position and normal are their
-        averages weighted by force.
+        averages weighted by force; its net force is the sum of all that its contacts transmit.
         """
         count = self._middle - self._start
         slots = data[:, :count].reshape(-1, self._n_fingers, _SLOTS, _WIDTH)
@@ -111,4 +117,10 @@ class TouchSensors:
         normal = normal / np.where(length > 1e-9, length, 1.0)[..., None]
         other = data[:, count:].reshape(len(data), self._others, 3)
         other_force = np.sqrt(np.einsum("nbk,nbk->nb", other, other)).sum(-1)
-        return TouchReading(touch, weighted[..., :3], normal, force * touch, other_force)
+        # the contact's frame: rows normal, tangent, and what is across both
+        first, second = slots[..., 7:10], slots[..., 10:13]
+        net = slots[..., 1:2] * first + slots[..., 2:3] * second
+        net += slots[..., 3:4] * cross(first, second)
+        return TouchReading(
+            touch, weighted[..., :3], normal, force * touch, other_force, net.sum(axis=2)
+        )

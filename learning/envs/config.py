@@ -8,7 +8,7 @@ from typing import Annotated
 from dexctl.settings import NESTED
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_numbers, check_whole
-from learning.envs.observation import DEFAULT_PARTS, DRAWN, PARTS, check_names, check_parts
+from learning.envs.observation import DEFAULT_PARTS, PARTS, TRUTH, check_names, check_parts
 from learning.envs.turning import TurningConfig
 
 
@@ -32,8 +32,10 @@ class EnvConfig:
     """What the policy observes, in this order; touch, gravity, object_position and
     object_quaternion may be added."""
     critic_parts: tuple[str, ...] = ()
-    """What the critics observe beside it, without noise, "drawn" (what randomisation drew for the
-    episode) among it; the thesis has nothing here."""
+    """What the critics observe beside it, without noise: any of these parts, and object_velocity,
+    fingertip_force (net force of each on the object) and drawn (what randomisation drew for the
+    episode). The thesis has nothing here with SAC; with PPO, object_position, object_quaternion,
+    object_velocity and fingertip_force."""
     scaled: bool = False
     """Whether observations are brought to about unit size; the thesis has them in SI units."""
 
@@ -43,5 +45,5 @@ class EnvConfig:
         known = {**PARTS, **self.task.parts}
         check_parts(self.parts, known)
         seen = (*self.parts, *self.critic_parts)
-        check_parts([name for name in seen if name != DRAWN], known)
+        check_parts([name for name in seen if name not in TRUTH], known)
         check_names(seen)

@@ -36,6 +36,7 @@ DEFAULT_PARTS = ("q", "q_target", "contact_position", "contact_normal", "contact
 # What is about 1 in a scaled observation.
 _LENGTH_SCALE = 0.05  # [m]
 _FORCE_SCALE = 2.0  # [N]
+_VELOCITY_SCALE = np.repeat([0.05, 0.5], 3)  # [m/s], [rad/s]
 
 
 class Observation:
@@ -116,7 +117,9 @@ class Observation:
             return (value - self._centre) * state.in_contact[..., None] / _LENGTH_SCALE
         if name == "object_position":
             return (value - self._centre) / _LENGTH_SCALE
-        return value / _FORCE_SCALE if name == "contact_force" else value
+        if name == OBJECT_VELOCITY:
+            return value / _VELOCITY_SCALE
+        return value / _FORCE_SCALE if name in ("contact_force", FINGERTIP_FORCE) else value
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON can hold it; see `from_dict`."""
@@ -185,7 +188,9 @@ def _direction(vector: Floats | None) -> Floats | None:
 
 
 DRAWN = "drawn"
-"""The part that only critics have: what was drawn for an episode."""
+OBJECT_VELOCITY, FINGERTIP_FORCE = "object_velocity", "fingertip_force"
+TRUTH = (DRAWN, OBJECT_VELOCITY, FINGERTIP_FORCE)
+"""The parts that only critics have; `learning.envs.truth` reads them from the simulation."""
 
 PARTS: dict[str, Part] = {
     "q": Part(lambda d, m: d, lambda state: state.q),

@@ -19,10 +19,10 @@ from dexctl.sim.simulation import Simulation
 from dexctl.state import Bools, Floats, GraspState
 from learning.envs.action import SetPointAction, check_action
 from learning.envs.config import EnvConfig
-from learning.envs.drawn import drawn_part
 from learning.envs.observation import Observation
 from learning.envs.rendering import RENDER_MODES, Renderer
 from learning.envs.task import Step
+from learning.envs.truth import truth_parts
 
 _LOG = logging.getLogger(__name__)
 
@@ -109,7 +109,7 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
 
     def _observe_with(self) -> None:
         config = self.config
-        parts = {**self.task.parts, **drawn_part(self.simulation)}
+        parts = {**self.task.parts, **truth_parts(self.simulation)}
         options = {
             "scaled": config.scaled,
             "centre": self.simulation.sim.groups[0].scene.grasp_centre,

@@ -10,7 +10,7 @@ import pytest
 
 from dexctl.cli import main
 from dexctl.planning import Tree, grow
-from dexctl.sim import SceneConfig, Simulation
+from dexctl.sim import GraspStates, SceneConfig, Simulation
 
 SMALL = ["--expand", "random", "--random.batch", "8", "--object", "cylinder", "--threads", "1"]
 
@@ -115,3 +115,27 @@ def test_show_draws_the_tree_and_films_its_path(
     assert found["path"] == tree.paths(1)[0].tolist()
     assert (tmp_path / "tree.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "path.mp4").stat().st_size > 2000
+
+
+def test_starts_from_a_tree_and_from_samples(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "made" / "starts.npz"
+    words = ["--count", "6", "--out", str(file), "--threads", "1", "--json"]
+    assert main(["plan", "states", str(folder), *words]) == 0
+    said = json.loads(capsys.readouterr().out)
+    states = GraspStates.load(file)
+    assert said["states"] == len(states) >= 6
+    assert states.parent is not None and states.weight is not None
+    assert main(["plan", "sample", "--object", "cylinder", "--sampling.batch", "32", *words]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["states"] == len(GraspStates.load(file)) == 6 and said["tried"] >= 6
+    for line, why in (
+        (["states", "none.npz"], "tree 'none.npz' cannot be read"),
+        (["states", str(file)], "lacks joint_velocity"),
+        (["states", str(folder), "--count", "0"], "--count is 0"),
+        (["sample", "--object", "cube", "sphere"], "this command takes one object"),
+    ):
+        assert main(["plan", *line]) == 2
+        err = capsys.readouterr().err
+        assert why in err and err.count("\n") == 1

@@ -81,3 +81,10 @@ def test_rotation_vectors_and_back() -> None:
     half = from_rotation_vector(0.5 * vector)
     np.testing.assert_allclose(multiply(half, half), from_rotation_vector(vector), atol=1e-12)
     np.testing.assert_allclose(from_rotation_vector(np.zeros(3)), [1, 0, 0, 0])
+
+
+def test_about_any_axis_fingertips_stand_around_the_palms_direction() -> None:
+    sphere = Scene.build("dex5", "sphere", "up")
+    found = sample_grasps(sphere, 8, GraspSampling(batch=64), axis="x", seed=0, threads=1)
+    assert len(found.nodes) == 8  # about x, none could be reached
+    assert np.ptp(found.nodes.rotation) > 2.0

@@ -1,8 +1,9 @@
-"""Trees as arrays: paths by hand, files that are whole, what does not belong together."""
+"""Trees as arrays: paths by hand, files that are whole, what does not belong together, starts."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dexctl.exceptions import InvalidInput
-from dexctl.planning import Nodes, Tree, TreeHeader
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.planning import Kinematic, Nodes, Tree, TreeHeader, grow, path_states
+from dexctl.sim import Scene
 from dexctl.sim.grasp_states import GraspStates
 
 
@@ -133,7 +135,7 @@ def test_files_that_are_no_trees(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=r"tree '.*tree.npz' cannot be read"):
         Tree.load(path)
     forked().states().save(path)
-    with pytest.raises(InvalidInput, match="lacks .*parent.*; it is no tree"):
+    with pytest.raises(InvalidInput, match="lacks .*action.*; it is no tree"):
         Tree.load(path)
     for name, value, why in (
         ("parent", np.array([-1, 0, 1, 2, 1, 4, 6]), "do not stand before their children"),
@@ -175,3 +177,74 @@ def test_a_tree_is_a_graph() -> None:
     graph = forked().to_networkx()
     assert sorted(graph.edges) == [(0, 1), (0, 6), (1, 2), (1, 4), (2, 3), (4, 5)]
     assert graph.nodes[5]["rotation"] == 0.8
+
+
+def test_paths_are_taken_until_there_are_enough() -> None:
+    # q counts the nodes of the tree; 3 and its path come first, then 5 up to where it leaves that
+    states = path_states(forked(), 5, weights="equal")
+    assert states.q[:, 0].tolist() == [0, 1, 2, 3, 4, 5]
+    assert states.parent is not None
+    assert states.parent.tolist() == [-1, 0, 1, 2, 1, 4]
+    assert states.weight is None
+    about = json.loads(states.meta)
+    assert (about["goals"], about["weights"], about["tried"]) == ("greatest", "equal", 6)
+    assert about["tree"]["object"] == "cube"
+    assert len(path_states(forked(), 1)) == 4
+    assert len(path_states(forked(), 100)) == 7  # all there are
+
+
+def test_no_state_is_an_orphan() -> None:
+    rng = np.random.default_rng(0)
+    parent = [int(rng.integers(i)) for i in range(1, 200)]
+    tree = grown(parent, rng.uniform(0, 3, 200).tolist())
+    for goals in ("greatest", "even"):
+        states = path_states(tree, 60, goals=goals)
+        assert states.parent is not None
+        numbers = states.q[:, 0].astype(int)
+        assert states.parent[0] == -1 and (states.parent[1:] >= 0).all()
+        assert numbers[states.parent[1:]].tolist() == tree.parent[numbers[1:]].tolist()
+
+
+def test_every_rotation_is_as_likely() -> None:
+    tree = grown([0] * 9, [0.05, *[0.55] * 6, 1.05, 1.06, 1.07])
+    weight = path_states(tree, 10).weight
+    assert weight is not None
+    numbers = path_states(tree, 10).q[:, 0].astype(int)
+    sums = [weight[np.isin(numbers, rows)].sum() for rows in ([0], range(1, 7), range(7, 10))]
+    np.testing.assert_allclose(sums, sum(sums) / 3)
+    assert weight.mean() == pytest.approx(1.0)
+
+
+def test_even_goals_are_at_every_rotation() -> None:
+    rotation = np.concatenate([[0.0], np.full(300, 2.95), 0.15 + 0.1 * np.arange(28)])
+    tree = grown([0] * 328, rotation.tolist())
+    turned = tree.rotation[path_states(tree, 30, goals="even", seed=1).q[:, 0].astype(int)]
+    assert len(np.unique(np.floor(turned / 0.1))) == 30  # one of each, and the root
+
+
+def test_states_that_do_not_hold_are_left_out(cylinder: Scene) -> None:
+    tree = grow(cylinder, Kinematic(batch=32), nodes=40, seed=0, threads=1)
+    good = path_states(tree, 30, scene=cylinder, threads=1)
+    loose = tree.nodes
+    q_target = loose.q_target.copy()
+    q_target[10:] = loose.q[10:]  # no grip
+    cut = Tree(tree.header, loose.take([0]))
+    rest = np.arange(1, len(tree))
+    cut.append(
+        replace(loose, q_target=q_target).take(rest),
+        tree.parent[1:], tree.action[1:], tree.expansion[1:],
+    )  # fmt: skip
+    fewer = path_states(cut, 30, scene=cylinder, threads=1)
+    assert len(fewer) < len(good) <= 40
+    assert json.loads(fewer.meta)["tried"] >= 30
+    with pytest.raises(InvalidInput, match=r"the tree is Tree\('dex5', 'cylinder'"):
+        path_states(tree, 30, scene=Scene.build("dex5", "cylinder", "down"))
+
+
+def test_what_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="count is 0; expected a whole number above 0"):
+        path_states(forked(), 0)
+    with pytest.raises(UnknownName, match="unknown goals 'far'; known: greatest, even"):
+        path_states(forked(), 3, goals="far")  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="unknown weights 'none'; known: rotation, equal"):
+        path_states(forked(), 3, weights="none")  # type: ignore[arg-type]

@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(path for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+SUBCOMMANDS = ("hands add", "hands check", "plan show", "plan states", "plan sample")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9.-]*[a-z0-9]")
 FENCE = re.compile(r"^```python\n(.*?)^```$", re.M | re.S)
 
@@ -63,7 +64,7 @@ def test_options_exist(capsys: pytest.CaptureFixture[str]) -> None:
     from dexctl.cli.commands import commands
     from hardware.cli import COMMANDS
 
-    names = ["", "hands add", "hands check", *(name for name in commands() if name != "hardware")]
+    names = ["", *SUBCOMMANDS, *(name for name in commands() if name != "hardware")]
     known: dict[str, set[str]] = {}
     for name in [*names, *(f"hardware {name}" for name in COMMANDS)]:
         assert main([*name.split(), "--help"]) == 0
@@ -77,7 +78,7 @@ def test_options_exist(capsys: pytest.CaptureFixture[str]) -> None:
             f"{page.name}: {option}" for option in OPTION.findall(text) if option not in every
         ]
         for name, rest in re.findall(
-            r"dexctl (hardware [a-z]+|hands add|hands check|[a-z-]+)\b([^`\n]*)", text
+            rf"dexctl (hardware [a-z]+|{'|'.join(SUBCOMMANDS)}|[a-z-]+)\b([^`\n]*)", text
         ):
             wrong += [
                 f"{page.name}: dexctl {name} {option}"

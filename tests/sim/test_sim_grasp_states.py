@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -59,13 +60,21 @@ def test_thousands_are_read_in_a_moment(tmp_path: Path) -> None:
         ({"q_target": np.full((3, 15), np.nan)}, "GraspStates.q_target has numbers that are not"),
         ({"q": np.full((3, 15), "a")}, "GraspStates.q has no numbers"),
         ({"object_quaternion": np.ones((3, 4))}, "object_quaternion has norm 2; expected 1"),
+        ({"weight": np.zeros(3)}, "GraspStates.weight has numbers that are not finite and above 0"),
+        ({"weight": np.ones(2)}, r"GraspStates.weight has shape \(2,\) .*expected \(3,\) numbers"),
+        (
+            {"parent": [-1, 0, 3]},
+            "GraspStates.parent of row 2 is 3; expected another of the",
+        ),
+        ({"parent": [-1, 0, 0.5]}, "GraspStates.parent has shape .* of float64; expected"),
         ({"object_position": np.zeros(3)}, r"object_position has shape \(3,\); expected \(3, 3\)"),
     ],
 )
 def test_bad_states(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=said):
         grasps(**changes)
-    path, fields = tmp_path / "bad.npz", {**vars(grasps()), **changes}
+    path, fields = tmp_path / "bad.npz", {**vars(grasps(weight=np.ones(3))), **changes}
+    fields = {name: value for name, value in fields.items() if value is not None}
     np.savez(path, **fields)
     with pytest.raises(InvalidInput, match=rf"grasp states '.*bad\.npz': .*{said}") as caught:
         GraspStates.load(path)
@@ -109,3 +118,35 @@ def test_each_environment_draws_states_of_its_object(dex5: dexctl.HandModel) -> 
     other = grasps(d=2, hand="claw", joint_names=["a", "b"])
     with pytest.raises(InvalidInput, match="of the hand 'claw', whose 2 joints are not the 15 of"):
         StateSampler(other, dex5, ("cube",))
+
+
+def test_weights_say_how_often_each_is_drawn(dex5: dexctl.HandModel) -> None:
+    states = grasps(6, weight=[1.0, 9.0, 2.0, 9.0, 1.0, 9.0])  # cube sphere cube sphere cube sphere
+    states = replace(states, object=np.array(["cube", "sphere"] * 3))
+    sampler = StateSampler(states, dex5, ("cube",) * 400)
+    drawn = sampler((np.arange(400) + 0.5) / 400)
+    assert [int((drawn == row).sum()) for row in (0, 2, 4)] == [100, 200, 100]
+    assert StateSampler(states, dex5, ("cube", "sphere"))(np.array([1 - 1e-16] * 2)).tolist() == [
+        4,
+        5,
+    ]
+
+
+def test_parents_follow_their_states(tmp_path: Path) -> None:
+    states = grasps(6, parent=[-1, 0, 1, 2, 0, 4], weight=np.arange(1.0, 7.0), meta='{"seed": 1}')
+    states.save(tmp_path / "kept.npz")
+    again = GraspStates.load(tmp_path / "kept.npz")
+    assert again.meta == '{"seed": 1}'
+    chosen = again.take([5, 4, 2, 0])  # 2's parent is left out
+    assert chosen.parent is not None
+    assert chosen.weight is not None
+    assert chosen.parent.tolist() == [1, 3, -1, -1]
+    assert chosen.weight.tolist() == [6.0, 5.0, 3.0, 1.0]
+    assert again.take([1, 1]).parent is None
+    both = GraspStates.concatenate([chosen, grasps(3)])
+    assert both.parent is not None
+    assert both.weight is not None
+    assert both.parent.tolist() == [1, 3, -1, -1, -1, -1, -1]
+    assert both.weight.tolist() == [6.0, 5.0, 3.0, 1.0, 1.0, 1.0, 1.0]
+    with pytest.raises(InvalidInput, match="concatenate got no"):
+        GraspStates.concatenate([])

@@ -193,6 +193,43 @@ def test_it_starts_from_the_states_of_the_file(starts: SceneConfig) -> None:
         assert set(drawn) == {0, 1}
 
 
+def test_other_starts_from_now_on(starts: SceneConfig) -> None:
+    assert starts.initial_states is not None
+    given = GraspStates.load(starts.initial_states)
+    with Simulation(replace(PLAIN, disturbance=0.0), 4) as sim:
+        settled = sim.state.q
+        sim.start_from(replace(given, weight=np.array([1e-9, 1.0])))
+        sim.reset(mask=np.array([True, True, False, False]))
+        np.testing.assert_allclose(sim.state.q[:2], given.q[[1, 1]])
+        np.testing.assert_array_equal(sim.state.q[2:], settled[2:])
+        sim.start_from(None)
+        sim.reset()
+        np.testing.assert_array_equal(sim.state.q, settled)
+
+
+def test_gravity_in_part(starts: SceneConfig) -> None:
+    with Simulation(PLAIN, 2) as sim:
+        sim.scale_gravity(0.25)
+        np.testing.assert_allclose(sim.sim.read().gravity, [[0.0, 0.0, -0.25 * 9.81]] * 2)
+        with pytest.raises(InvalidInput, match="share is nan"):
+            sim.scale_gravity(np.nan)
+
+
+def test_the_objects_own_velocity_is_that_of_its_poses() -> None:
+    with Simulation(replace(PLAIN, control_period=0.002, substeps=1), 2) as sim:
+        for _ in range(60):
+            sim.write(sim.read().q_target + 0.0015 * np.sin(np.arange(sim.hand.nq)))
+            sim.step()
+        before = sim.state.object_position
+        sim.step()
+        velocity, after = sim.sim.object_velocity, sim.state.object_position
+        assert before is not None
+        assert after is not None
+        assert np.abs(velocity).max() > 1e-3
+        np.testing.assert_allclose(velocity[:, :3], (after - before) / 0.002, atol=1e-8)
+        np.testing.assert_allclose(velocity[:, 3:], sim.sim.object_angular_velocity, atol=1e-5)
+
+
 def test_given_grasps_begin_at_rest(starts: SceneConfig) -> None:
     assert starts.initial_states is not None
     given = GraspStates.load(starts.initial_states)

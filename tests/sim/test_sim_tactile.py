@@ -22,6 +22,7 @@ def test_sensors_agree_with_the_contact_list(name: str) -> None:
     reading = sensors.read(data.sensordata[None, sensors.columns], 0.05)
 
     force, position, normal = np.zeros(m), np.zeros((m, 3)), np.zeros((m, 3))
+    net = np.zeros((m, 3))
     tips = [model.body(body).id for body in scene.hand.fingertip_bodies]
     held = model.body("object").id
     for i in range(data.ncon):
@@ -35,12 +36,16 @@ def test_sensors_agree_with_the_contact_list(name: str) -> None:
         force[finger] += wrench[0]
         position[finger] += wrench[0] * contact.pos
         normal[finger] += wrench[0] * sign * contact.frame[:3]
+        net[finger] += sign * contact.frame.reshape(3, 3).T @ wrench[:3]
     assert (force > 0.05).all()
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     np.testing.assert_allclose(reading.force[0], force, atol=1e-9)
     np.testing.assert_allclose(reading.position[0], position / force[:, None], atol=1e-9)
     np.testing.assert_allclose(reading.normal[0], normal, atol=1e-9)
     assert reading.other_contact[0] == 0.0
+    np.testing.assert_allclose(reading.net_force[0], net, atol=1e-9)
+    weight = model.body("object").mass[0] * 9.81
+    np.testing.assert_allclose(net.sum(axis=0), [0.0, 0.0, weight], atol=0.05 * weight)
 
 
 def test_threshold_silences_weak_fingers() -> None:

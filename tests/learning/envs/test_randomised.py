@@ -50,6 +50,25 @@ def test_set_points_stay_where_no_action_asks_for_more() -> None:
     np.testing.assert_allclose(made.state.q_target, before, atol=1e-12)
 
 
+def test_critics_see_velocity_and_net_forces() -> None:
+    config = EnvConfig(
+        scene=SceneConfig(object=("cylinder",), threads=1),
+        critic_parts=("object_velocity", "fingertip_force"),
+        scaled=True,
+    )
+    made = ManipulationVectorEnv(config, 3, 0)
+    made.reset(seed=0)
+    seen, *_ = made.step(np.full((3, made.hand.nq), 0.3))
+    more = seen[:, made.observation.size :]
+    sim = made.simulation.sim
+    assert more.shape == (3, 6 + 15)
+    np.testing.assert_allclose(more[:, :3], sim.object_velocity[:, :3] / 0.05, atol=1e-5)
+    np.testing.assert_allclose(more[:, 3:6], sim.object_velocity[:, 3:] / 0.5, atol=1e-5)
+    np.testing.assert_allclose(more[:, 6:], sim.fingertip_force.reshape(3, -1) / 2.0, atol=1e-5)
+    with pytest.raises(UnknownName, match="unknown observation part 'fingertip_force'"):
+        EnvConfig(parts=("q", "fingertip_force"))
+
+
 def test_only_critics_see_what_was_drawn() -> None:
     with pytest.raises(UnknownName, match="unknown observation part 'drawn'"):
         EnvConfig(parts=("q", "drawn"))

@@ -1,4 +1,4 @@
-"""What was drawn for an episode, as a part of what critics observe."""
+"""What only critics observe: velocity, fingertips' forces, and what was drawn for an episode."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from dexctl.sim.randomisation import Drawn
 from dexctl.sim.simulation import Simulation
 from dexctl.state import Floats
-from learning.envs.observation import DRAWN, Part
+from learning.envs.observation import DRAWN, FINGERTIP_FORCE, OBJECT_VELOCITY, Part
 
 # what brings each to about unit size, from the value where nothing is drawn
 _SCALES = {
@@ -31,15 +31,20 @@ _SCALES = {
 _SHARES = ("kp", "kv", "damping")  # of what they usually are, by tenths
 
 
-def drawn_part(simulation: Simulation) -> Mapping[str, Part]:
-    """The part "drawn": what holds in each episode, as deviations from what usually does.
+def truth_parts(simulation: Simulation) -> Mapping[str, Part]:
+    """The parts of `TRUTH`: of the simulation itself, which no sensor tells.
 
-    Gravity is a part of its own. A limit that there is not counts as not deviating.
+    The object's velocity ``(N, 6)`` [m/s, rad/s] and the net force of each fingertip on it
+    ``(N, 3 m)`` [N], in the world's frame (both in the thesis's critic, chapter 5); and what holds
+    in each episode, as deviations from what usually does. Gravity is a part of its own there, and
+    a limit that there is not counts as not deviating.
     """
-    usual = simulation.randomiser.usual
+    sim, usual = simulation.sim, simulation.randomiser.usual
     size = features(usual, usual).shape[1]
     return {
-        DRAWN: Part(lambda d, m: size, lambda state: features(simulation.randomiser.drawn, usual))
+        DRAWN: Part(lambda d, m: size, lambda state: features(simulation.randomiser.drawn, usual)),
+        OBJECT_VELOCITY: Part(lambda d, m: 6, lambda state: sim.object_velocity),
+        FINGERTIP_FORCE: Part(lambda d, m: 3 * m, lambda state: sim.fingertip_force),
     }
 
 

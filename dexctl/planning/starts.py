@@ -1,0 +1,111 @@
+"""path_states: grasps of a tree's paths, for episodes to start from (thesis chapter 5, R x R)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dexctl.exceptions import InvalidInput
+from dexctl.planning.holding import holding
+from dexctl.planning.tree import Tree
+from dexctl.sim import Scene
+from dexctl.sim.grasp_states import GraspStates
+from dexctl.state import Floats
+from dexctl.validation import check_name
+
+Goals = Literal["greatest", "even"]
+Weights = Literal["rotation", "equal"]
+GOALS: tuple[Goals, ...] = ("greatest", "even")
+WEIGHTS: tuple[Weights, ...] = ("rotation", "equal")
+_BIN = 0.1  # rotations that count as one where they are to be even [rad]
+
+
+def path_states(
+    tree: Tree,
+    count: int = 20_000,
+    *,
+    goals: Goals = "greatest",
+    weights: Weights = "rotation",
+    scene: Scene | None = None,
+    threads: int | None = None,
+    seed: int = 0,
+) -> GraspStates:
+    """The grasps on paths from the root to goals, path after path until there are enough.
+
+    Thesis chapter 5, Alg. R x R, lines "extract top trajectories". There, nodes of a path are
+    deleted from the tree, which leaves others without parents: here a path ends at the node that an
+    earlier one has taken, which leads on to the root, so the parent of each state is a state too.
+    The algorithm counts paths (P_max, one of which it never extracts); the thesis's text counts
+    states, 2 * 10^4, and so does this.
+
+    Args:
+        tree: whose.
+        count: how many states are wanted. The last path is taken whole; a tree may have fewer.
+        goals: where paths lead, the greatest rotations first (finger gaiting in the thesis) or
+            rotations drawn evenly.
+        weights: of the states. Trees have many more nodes at one rotation than at another:
+            "rotation" makes every rotation as likely to be started from, "equal" every state (the
+            thesis's).
+        scene: of the tree; states that do not hold in it for 2 s are left out, with what else is
+            then without a parent left in. None: all are taken.
+        threads: of the physics of that; None: every core.
+        seed: of the even goals.
+
+    Raises:
+        InvalidInput: no such number, goals or weights; a scene that is not the tree's; or no state
+            holds.
+    """
+    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
+        raise InvalidInput(f"count is {count!r}; expected a whole number above 0")
+    check_name("goals", goals, GOALS)
+    check_name("weights", weights, WEIGHTS)
+    rows = _rows(tree, int(count), _ends(tree.rotation, goals, np.random.default_rng(seed)))
+    tried = len(rows)
+    if scene is not None:
+        rows = rows[holding(scene, tree, rows, threads=threads)]
+        if not len(rows):
+            raise InvalidInput(f"none of {tried} states of {tree!r} holds in {scene!r}")
+    found = tree.states(rows)
+    about = {"tree": json.loads(found.meta), "goals": goals, "weights": weights, "tried": tried}
+    weight = _rarity(tree.rotation[rows]) if weights == "rotation" else None
+    return replace(found, weight=weight, meta=json.dumps(about))
+
+
+def _ends(rotation: Floats, goals: Goals, rng: np.random.Generator) -> NDArray[np.intp]:
+    """All nodes, in the order that paths are to lead to them."""
+    if goals == "greatest":
+        return np.argsort(-rotation, kind="stable")
+    shuffled = rng.permutation(len(rotation))
+    place = np.floor(rotation[shuffled] / _BIN)
+    order = np.argsort(place, kind="stable")
+    # the first of every bin, then the second of every bin, ...
+    starts = np.searchsorted(place[order], place[order])
+    turn = np.arange(len(order)) - starts
+    return shuffled[order[np.lexsort((rng.uniform(size=len(order)), turn))]]
+
+
+def _rows(tree: Tree, count: int, ends: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Nodes of the paths to ``ends``, parents first, until there are ``count``."""
+    parent, taken = tree.parent, np.zeros(len(tree), bool)
+    found: list[int] = []
+    for end in ends:
+        if len(found) >= count:
+            break
+        path, node = [], int(end)
+        while node >= 0 and not taken[node]:
+            path.append(node)
+            node = int(parent[node])
+        taken[path] = True
+        found += path[::-1]
+    return np.array(found, np.intp)
+
+
+def _rarity(rotation: Floats) -> Floats:
+    """1 / how many have this rotation, ``(S,)``, with a mean of 1."""
+    _, place, sizes = np.unique(np.floor(rotation / _BIN), return_inverse=True, return_counts=True)
+    weight = 1.0 / sizes[place]
+    return weight / weight.mean()
