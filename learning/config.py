@@ -17,6 +17,7 @@ from dexctl.validation import check_whole
 from learning.algorithms.config import OffPolicyConfig, PPOConfig, SACConfig, TD3Config
 from learning.envs.config import EnvConfig
 from learning.exploration.config import GuidanceConfig, check_controllers
+from learning.training.curriculum import CurriculumConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +33,7 @@ class TrainConfig:
 
     env: EnvConfig = EnvConfig()
     guidance: Annotated[GuidanceConfig, NESTED] = GuidanceConfig()
+    curriculum: Annotated[CurriculumConfig, NESTED] = CurriculumConfig()
     controllers: tuple[str, ...] = ("gait",)
     """Controllers that guide, one or several; not used by the method rl."""
     algorithm: Literal["sac", "td3", "ppo"] = "sac"
@@ -74,6 +76,11 @@ class TrainConfig:
             raise InvalidInput(
                 f"algorithm is 'ppo' and method {self.guidance.method!r}; ppo learns from its own "
                 "actions only: expected method 'rl', or the algorithm sac or td3"
+            )
+        if self.curriculum and not self.env.scene.randomisation:
+            raise InvalidInput(
+                f"level_start is {self.curriculum.level_start} and there are no ranges to widen; "
+                "expected a range such as mass_range, or level_start 1"
             )
         own = self.learner
         if isinstance(own, OffPolicyConfig) and own.buffer_size < max(

@@ -37,9 +37,25 @@ class TurningConfig:
     """Turning is rewarded where at least so many fingertips touch."""
     drop_distance: float = 0.05
     """The object is lost when its centre is this far from where it started [m]."""
+    wanted_speed: float | None = None
+    """A speed to keep: beyond it the reward falls as it rose before [rad/s]. None: the faster the
+    better, up to max_reward."""
+    drop_cost: float = 0.0
+    """Taken off the reward of the step in which the object is lost [rad/s]."""
+    drift_cost: float = 0.0
+    """Taken off for how far the object's centre is from where it started [rad/s per m]."""
+    links_cost: float = 0.0
+    """Taken off in every step in which the object touches anything but fingertips [rad/s]."""
+    end_on_links: bool = False
+    """Whether the object counts as lost in training where it touches anything but fingertips."""
 
     def __post_init__(self) -> None:
-        check_numbers(self, positive=("max_reward", "max_tilt", "drop_distance"))
+        check_numbers(
+            self,
+            positive=("max_reward", "max_tilt", "drop_distance"),
+            not_negative=("drop_cost", "drift_cost", "links_cost"),
+            optional=("wanted_speed",),
+        )
         check_whole(self, min_fingertips=0)
         unit_axis(self.axis)
 
@@ -66,12 +82,16 @@ class Motion(NamedTuple):
         tilt: phi, angle between the axis and where the object's own axis is now [rad].
         fingertips: n_c, how many touch.
         fingertips_only: whether nothing of the hand but fingertips touches the object.
+        away: how far the object's centre is from where it started [m].
+        dropped: whether the object is lost in this step.
     """
 
     speed: Floats
     tilt: Floats
     fingertips: np.ndarray
     fingertips_only: Bools
+    away: Floats
+    dropped: Bools
 
 
 def reward(motion: Motion, config: TurningConfig) -> Floats:
@@ -79,14 +99,26 @@ def reward(motion: Motion, config: TurningConfig) -> Floats:
 
     r = min(r_max, w . k) where at least ``min_fingertips`` and nothing but fingertips touch and
     the tilt is at most phi_max; min(0, w . k) elsewhere. The equation leaves "nothing but
-    fingertips" to its text.
+    fingertips" to its text. With a speed v to keep (chapter 5, which gives no equation), w . k
+    counts as min(w . k, 2 v - w . k). All costs are taken off.
     """
+    speed = motion.speed
+    if config.wanted_speed is not None:
+        speed = np.minimum(speed, 2.0 * config.wanted_speed - speed)
     good = (
         (motion.fingertips >= config.min_fingertips)
         & motion.fingertips_only
         & (motion.tilt <= config.max_tilt)
     )
-    return np.where(good, np.minimum(motion.speed, config.max_reward), np.minimum(motion.speed, 0))
+    found = np.where(good, np.minimum(speed, config.max_reward), np.minimum(speed, 0.0))
+    for cost, amount in (
+        (config.drop_cost, motion.dropped),
+        (config.drift_cost, motion.away),
+        (config.links_cost, ~motion.fingertips_only),
+    ):
+        if cost:
+            found = found - cost * amount
+    return found
 
 
 def returns_of(trace: Trace, scene: Scene, config: TurningConfig) -> Floats:
@@ -99,6 +131,8 @@ def returns_of(trace: Trace, scene: Scene, config: TurningConfig) -> Floats:
         tilt=tilt(quaternion[1:], upright, axis),
         fingertips=trace.in_contact[1:].sum(axis=-1),
         fingertips_only=trace.other_contact[1:] == 0.0,
+        away=np.linalg.norm(trace.object_position[1:] - trace.object_position[0], axis=-1),
+        dropped=trace.held[:-1] & ~trace.held[1:],
     )
     # the step that drops the object counts still; one that breaks down does not
     counts = trace.held[:-1] & ~trace.diverged[1:]
@@ -139,19 +173,25 @@ class Turning(Task):
         position, quaternion = step.state.object_position, step.state.object_quaternion
         assert position is not None
         assert quaternion is not None
+        away = np.linalg.norm(position - step.start_position, axis=-1)
+        dropped = away > self.config.drop_distance
+        if self.config.end_on_links:
+            dropped |= ~step.fingertips_only
+        dropped &= ~step.diverged
         motion = Motion(
             speed=np.where(step.diverged, 0.0, step.angular_velocity @ self._axis),
             tilt=tilt(quaternion, self._upright, self._axis),
             fingertips=step.state.in_contact.sum(axis=-1),
             fingertips_only=step.fingertips_only,
+            away=away,
+            dropped=dropped,
         )
         angle = twist_angle(multiply(quaternion, inverse(self._start)), self._axis)
         self.rotation = self.rotation + shortest(angle - self._angle)
         self._angle = angle
-        away = np.linalg.norm(position - step.start_position, axis=-1)
         return Judgement(
-            reward=reward(motion, self.config),
-            dropped=(away > self.config.drop_distance) & ~step.diverged,
+            reward=np.where(step.diverged, 0.0, reward(motion, self.config)),
+            dropped=dropped,
             succeeded=np.zeros(len(away), bool),  # it can always be turned further
             info={**motion._asdict(), "rotation": self.rotation.copy()},
         )

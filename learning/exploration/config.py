@@ -25,6 +25,10 @@ class GuidanceConfig:
     """rl: no controllers. rl+bc: they label the states that the policy visits. fge: chosen on a
     fixed schedule (fixed guided exploration). vge: chosen by value (value guided exploration).
     vge+bc: and the policy imitates what they did."""
+    alone: float = 0.0
+    """Share of the environments in which the policy acts by itself from the first step on, as it
+    will at last: critics learn from its own drops before the hard stop, and a curriculum has
+    something to judge by. None in the thesis."""
     horizon: int | None = None
     """Steps that a choice of who acts holds for (H); none: as long as the controller's own motion,
     and as the longest of them for the policy."""
@@ -74,7 +78,7 @@ class GuidanceConfig:
             self,
             positive=("temperature",),
             not_negative=("beta", "beta_end"),
-            fractions=("fixed_start",),
+            fractions=("fixed_start", "alone"),
         )
 
     @property

@@ -72,6 +72,7 @@ class Guide:
 
     Attributes:
         lengths: H of each candidate, ``(1 + controllers,)`` [steps].
+        alone: environments in which nobody but the policy acts before the hard stop, ``(N,)``.
         acted: steps that each candidate has acted, ``(1 + controllers,)``.
         chances: sums over choices of each candidate's probability, ``(1 + controllers,)``.
         choices: how many choices of who acts there were.
@@ -93,6 +94,7 @@ class Guide:
         self._restarts = [length is not None for length in own]
         lengths = [config.horizon or length or UNSTATED_HORIZON for length in own]
         self.lengths = np.array([max(lengths, default=1), *lengths], np.int64)
+        self.alone = spread(config.alone if config.follows else 1.0, env.num_envs)
         self._streams = Streams(seed, (env.num_envs,))
         self.segments = Segments.start(env.num_envs)
         self.acted = np.zeros(len(self.lengths), np.int64)
@@ -103,6 +105,10 @@ class Guide:
     def asks(self, step: int) -> bool:
         """Whether the controllers are asked at environment step ``step``."""
         return bool(self.controllers) and step < self.config.hard_stop
+
+    def own(self, step: int) -> Bools:
+        """Where the policy acts by itself at environment step ``step``, ``(N,)``."""
+        return self.alone if self.asks(step) else np.ones_like(self.alone)
 
     def beta(self, step: int) -> float:
         """Weight of behaviour cloning at environment step ``step``."""
@@ -131,7 +137,7 @@ class Guide:
             self.acted[POLICY] += len(learner)
             return Guided(learner, self.segments.actor, ~nobody, proposed[1])
         chances = self._probabilities(step, np.flatnonzero(due), proposed, values)
-        self.chances += np.broadcast_to(chances, (len(due), len(proposed)))[due].sum(axis=0)
+        self.chances += chances[due].sum(axis=0)
         self.choices += int(due.sum())
         self.segments = advance(
             self.segments,
@@ -159,13 +165,14 @@ class Guide:
         self, step: int, rows: np.ndarray, proposed: np.ndarray, values: Values
     ) -> Floats:
         config, count = self.config, len(proposed)
+        found = np.zeros((proposed.shape[1], count))
         if config.method == "fge":
             share = linear_decay(step, config.fixed_start, config.hard_stop)
-            return fixed_probabilities(share, count)
-        found = np.zeros((proposed.shape[1], count))
-        if len(rows):
+            found[:] = fixed_probabilities(share, count)
+        elif len(rows):
             of_rows = values(rows, proposed[:, rows])
             found[rows] = value_probabilities(of_rows.T, config.temperature)
+        found[self.alone] = np.eye(count)[POLICY]
         return found
 
     def take_counts(self) -> tuple[np.ndarray, Floats, int]:
@@ -226,6 +233,12 @@ class Guide:
             else:
                 controller.load_state_dict(state)
         return remarks
+
+
+def spread(share: float, count: int) -> Bools:
+    """``share`` of ``count`` places, evenly spread among them, ``(count,)`` bool."""
+    edges = np.floor(share * np.arange(count + 1) + 1e-9)
+    return np.diff(edges) > 0
 
 
 UNSTATED_HORIZON = 40

@@ -26,6 +26,8 @@ COLUMNS = {
     "reward": "mean reward of a step since the row before [rad/s]",
     "controller_share": "share of steps since the row before that controllers did",
     "p_psi": "mean probability of any controller at the choices since the row before",
+    "held": "share of the policy's own episodes that would hold, by its drops a step",
+    "level": "how much of the scene's ranges new episodes are drawn from",
     "critic_loss": "of the last updates",
     "actor_loss": "of the last updates",
     "bc_loss": "behaviour cloning, before its weight beta",

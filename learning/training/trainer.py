@@ -20,6 +20,7 @@ from learning.config import TrainConfig
 from learning.exploration import POLICY
 from learning.training.build import build_algorithm, build_env, build_guide
 from learning.training.checkpoint import CheckpointError
+from learning.training.curriculum import Curriculum
 from learning.training.export import export_policy
 from learning.training.interruption import interruptible
 from learning.training.log import RunLog, Tally, who_acted
@@ -33,7 +34,7 @@ _MAY_CHANGE = (
     "steps", "log_every", "checkpoint_every", "overlap", "device", "torch_threads", "threads",
     "learning_rate", "learning_rate_end", "decay_start", "gradient_steps", "batch_size", "gamma",
     "tau", "policy_average", "policy_delay", "exploration_noise", "hard_stop", "beta", "beta_end",
-    "beta_stop", "temperature", "fixed_start",
+    "beta_stop", "temperature", "fixed_start", "curriculum",
 )  # fmt: skip
 
 
@@ -126,7 +127,7 @@ class Trainer:
         remark: called with what people should know.
 
     Attributes:
-        env, guide, algorithm: what the configuration describes.
+        env, guide, algorithm, curriculum: what the configuration describes.
         row: the last one of the log.
         stop: set it, and the run saves and raises KeyboardInterrupt before the next turn.
     """
@@ -143,6 +144,7 @@ class Trainer:
         self.env = build_env(config)
         self.guide = build_guide(config, self.env)
         self.algorithm = build_algorithm(config, self.env)
+        self.curriculum = Curriculum(config.curriculum, config.env.episode_steps)
         self.tally = Tally()
         self.row: dict[str, float] = {}
         self.stop = False
@@ -150,6 +152,7 @@ class Trainer:
         self._remark = remark or (lambda text: None)
         self._next_log, self._next_checkpoint = config.log_every, config.checkpoint_every
         self._seconds, self._since = 0.0, time.monotonic()
+        self.env.simulation.randomiser.level = self.curriculum.level
         self._observation, _ = self.env.reset()
         self._log: RunLog | None = None
 
@@ -180,9 +183,10 @@ class Trainer:
     def turn(self, pool: ThreadPoolExecutor) -> None:
         """One step of all environments, and the updates that are due."""
         algorithm, env, seen = self.algorithm, self.env, self._observation
+        before = algorithm.steps
         try:
             wanted = algorithm.act(seen)
-            chosen = self.guide.act(algorithm.steps, wanted, partial(self._values, seen))
+            chosen = self.guide.act(before, wanted, partial(self._values, seen))
             if self.config.overlap and algorithm.overlaps:
                 pending = pool.submit(env.step, chosen.action)
                 self._update()
@@ -206,6 +210,9 @@ class Trainer:
             if algorithm.diverged:
                 raise self._diverged() from error
             raise
+        lost = info["dropped"] | info["diverged"]
+        if self.curriculum.add(self.guide.own(before), lost):
+            env.simulation.randomiser.level = self.curriculum.level
         self.guide.after_step(info["done"])
         self.tally.add(reward, np.flatnonzero(info["done"]), info)
         if not (self.config.overlap and algorithm.overlaps):
@@ -246,6 +253,7 @@ class Trainer:
             **self.tally.row(),
             "controller_share": float(1.0 - acted[POLICY] / max(acted.sum(), 1)),
             **who_acted(acted, chances, choices, self.config.guides),
+            **self.curriculum.row(),
             **algorithm.statistics,
             "beta": guide.beta(algorithm.steps),
             "seconds": self.seconds,
@@ -280,6 +288,7 @@ class Trainer:
                 "algorithm": algorithm.state_dict(),
                 "guide": self.guide.state_dict(),
                 "env": self.env.save(),
+                "curriculum": self.curriculum.save(),
                 "observation": self._observation,
                 "run": {
                     "tally": dict(self.tally.sums),
@@ -313,6 +322,7 @@ class Trainer:
             self.env.restore(saved["env"])
             for text in self.guide.load_state_dict(saved["guide"]):
                 self._remark(text)
+            self.curriculum.restore(saved["curriculum"])
             self._observation = saved["observation"].copy()
             run = saved["run"]
             self.tally.sums, self.row = dict(run["tally"]), dict(run["row"])

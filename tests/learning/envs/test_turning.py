@@ -30,9 +30,39 @@ def test_the_equation_case_by_case() -> None:
         tilt=np.array([0.0, 0.5, 0.0, 0.51, 0.0, 0.0, 0.6]),
         fingertips=np.array([3, 5, 4, 5, 2, 4, 1]),
         fingertips_only=np.array([True, True, True, True, True, False, False]),
+        away=np.array([0.0, 0.0, 0.01, 0.01, 0.0, 0.02, 0.0]),
+        dropped=np.array([False, True, False, True, False, False, False]),
     )
-    expected = [0.3, 0.5, -0.2, 0.0, 0.0, 0.0, -0.2]
+    expected = np.array([0.3, 0.5, -0.2, 0.0, 0.0, 0.0, -0.2])
     np.testing.assert_array_equal(reward(motion, TurningConfig()), expected)
+
+    def less(**costs: float) -> np.ndarray:
+        return expected - reward(motion, TurningConfig(**costs))
+
+    assert less(drop_cost=5.0) == pytest.approx([0, 5, 0, 5, 0, 0, 0])
+    assert less(drift_cost=10.0) == pytest.approx([0, 0, 0.1, 0.1, 0, 0.2, 0])
+    assert less(links_cost=0.2) == pytest.approx([0, 0, 0, 0, 0, 0.2, 0.2])
+    kept = reward(motion, TurningConfig(wanted_speed=0.4))  # 0.9 is 0.5 too fast
+    assert kept == pytest.approx([0.3, -0.1, -0.2, 0, 0, 0, -0.2])
+
+
+def test_links_that_touch_end_an_episode_where_that_is_asked_for() -> None:
+    config = from_plain(SceneConfig, {"object": "cylinder", "threads": 1})
+    with Simulation(config, 3) as simulation:
+        state = simulation.state
+        assert state.object_position is not None
+        step = Step(
+            state=state,
+            angular_velocity=np.zeros((3, 3)),
+            fingertips_only=np.array([True, False, False]),
+            start_position=state.object_position,
+            diverged=np.array([False, False, True]),
+        )
+        for asked in (False, True):
+            task = TurningConfig(end_on_links=asked, drop_cost=2.0).build(simulation)
+            found = task.judge(step)
+            assert found.dropped.tolist() == [False, asked, False]
+            assert found.reward.tolist() == [0.0, -2.0 * asked, 0.0]
 
 
 def test_tilt_by_hand() -> None:

@@ -30,6 +30,7 @@ OTHERS: dict[str, Any] = {
     "scene.sensing.joint_touch.release_force": 0.3,
     "scene.threads": 3,
     "task.axis": (0.0, -2.0, 1.0),
+    "task.end_on_links": True,
 }
 
 

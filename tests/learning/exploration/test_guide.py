@@ -133,6 +133,20 @@ def test_the_critic_is_asked_where_a_choice_is_due() -> None:
     assert asked == [[0, 1, 2, 3], [0], [1, 2, 3]]
 
 
+@pytest.mark.parametrize("method", ["vge", "fge"])
+def test_where_the_policy_is_alone_no_controller_acts(method: str) -> None:
+    config = GuidanceConfig(method=method, horizon=2, alone=0.5, hard_stop=100)  # type: ignore[arg-type]
+    guide = Guide(Counting(), [Constant(0.05)], config, 0)
+    assert guide.alone.tolist() == guide.own(99).tolist() == [False, True, False, True]
+    assert guide.own(100).all()
+    for _ in range(3):
+        found = guide.act(0, learner(), prefer(1))
+        assert found.actor.tolist() == [1, 0, 1, 0] == found.guided.tolist()
+        guide.after_step(np.zeros(4, bool))
+    plain = Guide(Counting(), [Constant(0.05)], GuidanceConfig(method="rl+bc"), 0)
+    assert plain.own(0).all()
+
+
 def test_hard_stop() -> None:
     controller = Constant(0.05)
     guide = Guide(Counting(), [controller], GuidanceConfig(method="vge", hard_stop=10), 0)

@@ -148,6 +148,7 @@ OTHER = {
     "scene.sensing.touch": "binary",
     "scene.threads": 3,
     "task.axis": "-y",
+    "task.end_on_links": True,
 }
 DISTURBANCES = (
     "joint_noise", "position_noise", "normal_noise", "force_noise", "force_noise_share",

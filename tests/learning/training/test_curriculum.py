@@ -1,0 +1,101 @@
+"""The curriculum: hand-computed judgements, and its part in a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from dexctl.exceptions import InvalidInput
+from learning.config import TrainConfig
+from learning.training.curriculum import Curriculum, CurriculumConfig
+from learning.training.log import read_rows
+from learning.training.trainer import resume, train
+
+CONFIG = CurriculumConfig(
+    level_start=0.2, level_step=0.1, level_steps=100, widen_above=0.8, narrow_below=0.2
+)
+
+
+def judged(curriculum: Curriculum, drops: int) -> float:
+    """The level after 100 steps of the policy with so many drops, and as many that do not count."""
+    own = np.array([True, False])
+    for i in range(100):
+        assert curriculum.add(own, np.array([i < drops, i < 50])) == (i == 99)
+    return curriculum.level
+
+
+def test_it_widens_where_the_policy_holds_and_narrows_where_it_does_not() -> None:
+    curriculum = Curriculum(CONFIG, 20)
+    assert curriculum.held is None and curriculum.level == 0.2
+    assert judged(curriculum, 1) == pytest.approx(0.3)  # exp(-20 / 100) = 0.82
+    assert curriculum.held == pytest.approx(np.exp(-0.2))
+    assert judged(curriculum, 2) == pytest.approx(0.3)  # 0.67
+    assert judged(curriculum, 9) == pytest.approx(0.2)  # 0.17
+    assert judged(curriculum, 50) == pytest.approx(0.2)  # never below its start
+    for _ in range(20):
+        judged(curriculum, 0)
+    assert curriculum.level == 1.0
+
+
+def test_it_goes_on_from_what_was_saved() -> None:
+    one, other = Curriculum(CONFIG, 20), Curriculum(CONFIG, 20)
+    judged(one, 0)
+    one.add(np.ones(60, bool), np.zeros(60, bool))
+    other.restore(one.save())
+    assert other.level == pytest.approx(0.3) and other.held == 1.0
+    assert other.add(np.ones(40, bool), np.zeros(40, bool))
+
+
+def test_without_a_curriculum_the_level_stays() -> None:
+    curriculum = Curriculum(CurriculumConfig(level_steps=100), 20)
+    assert judged(curriculum, 50) == 1.0 and curriculum.held == pytest.approx(np.exp(-10.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"level_start": 1.5}, "level_start is 1.5; expected a number from 0 to 1"),
+        ({"level_step": 0.0}, "level_step is 0.0; expected a finite number above 0"),
+        ({"widen_above": 0.1}, "narrow_below is 0.2 and widen_above 0.1"),
+    ],
+)
+def test_bad_settings(changes: dict[str, float], text: str) -> None:
+    with pytest.raises(InvalidInput, match=text):
+        CurriculumConfig(**changes)  # type: ignore[arg-type]
+
+
+def test_nothing_to_widen() -> None:
+    with pytest.raises(InvalidInput, match="no ranges to widen"):
+        TrainConfig(curriculum=CONFIG)
+
+
+def test_in_a_run_it_sets_the_level_and_is_logged_and_resumed(
+    tmp_path: Path, small: Callable[..., TrainConfig]
+) -> None:
+    config = small(  # nobody drops anything within two steps
+        method="rl",
+        mass_range=(0.05, 0.2),
+        gravity_tilt=3.0,
+        episode_steps=2,
+        level_start=0.0,
+        level_step=0.25,
+        level_steps=8,
+        log_every=4,
+        steps=48,
+    )
+    train(config, tmp_path / "whole")
+    train(replace(config, steps=20), tmp_path / "part")
+    levels = [float(row["level"]) for row in read_rows(tmp_path / "whole" / "progress.csv")]
+    assert levels[:8] == [0.0, 0.25, 0.25, 0.5, 0.5, 0.75, 0.75, 1.0] and set(levels[8:]) == {1.0}
+    resume(tmp_path / "part", 48)
+    whole, part = (
+        [(row["level"], row["held"]) for row in read_rows(tmp_path / name / "progress.csv")]
+        for name in ("whole", "part")
+    )
+    assert part == whole
