@@ -50,6 +50,21 @@ def own_options(spec: mujoco.MjSpec) -> None:
         setattr(spec, name, getattr(fresh, name))
 
 
+_SOFTNESS = ("solref", "solimp", "solmix")
+
+
+def own_contacts(spec: mujoco.MjSpec) -> None:
+    """Give every geom the softness of contact that MuJoCo has where nobody says one.
+
+    The constants that a file says were chosen for its own timestep and solver: contacts stiffer
+    than the timestep can follow make forces jump from step to step, and grasps let go.
+    """
+    fresh = mujoco.MjSpec().default.geom
+    for geom in spec.geoms:
+        for name in _SOFTNESS:
+            setattr(geom, name, getattr(fresh, name))
+
+
 _MASS_SETTINGS = ("settotalmass", "boundmass", "boundinertia", "inertiafromgeom")
 
 

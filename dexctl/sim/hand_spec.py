@@ -15,6 +15,7 @@ from dexctl.sim.checks import listed
 from dexctl.sim.file_settings import (
     TIMESTEP,
     lean_model,
+    own_contacts,
     own_options,
     plain_defaults,
     settle_masses,
@@ -77,6 +78,7 @@ def _without_servos(hand: HandModel) -> tuple[mujoco.MjSpec, list[str]]:
     else:
         spec = _read_mjcf(hand)
         own_options(spec)
+        own_contacts(spec)
         _strip(spec, hand, notes)
         settle_masses(spec, hand)
         plain_defaults(spec)

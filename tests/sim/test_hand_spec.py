@@ -56,6 +56,15 @@ def test_no_option_of_the_file_reaches_the_simulation(changed_dex5: Hands) -> No
     np.testing.assert_array_equal(found.settled.qpos, Scene.build("dex5").settled.qpos)
 
 
+def test_contacts_are_as_soft_as_ours_whatever_the_file_says(changed_dex5: Hands) -> None:
+    """The LEAP hand of the menagerie has contacts a fiftieth of a timestep stiff, which chatter."""
+    stiff = '<geom solref="0.0001 1" solimp="0.999 0.999 0.001 0.0001 1" solmix="3"/>'
+    found = Scene.build(changed_dex5(("\n  <default>\n", f"\n  <default>{stiff}\n"))).model
+    ours = Scene.build("dex5").model
+    for name in ("geom_solref", "geom_solimp", "geom_solmix"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(ours, name), err_msg=name)
+
+
 def tip_errors(hand: HandModel, spec: mujoco.MjSpec) -> float:
     """How far simulated fingertips are from computed ones, at most over random postures [m]."""
     model = lean_model(spec, hand)
