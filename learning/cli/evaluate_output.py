@@ -125,6 +125,13 @@ def _figures(one: Evaluation) -> Table:
             ("mean speed", "speed_mean_rad_s", "rad/s", 3, 1.0),
             ("held", "time_held_median_s", "s", 1, 1.0),
             ("dropped", "share_dropped", "%", 0, 100.0),
+            (
+                f"further than {500 * one.protocol.task.drop_distance:g} mm",
+                "share_strayed",
+                "%",
+                0,
+                100.0,
+            ),
             ("made a full turn", "share_full_turn", "%", 0, 100.0),
             ("mean return", "return_mean", "", 1, 1.0),
             ("only fingertips touch", "share_fingertips_only", "%", 0, 100.0),

@@ -34,6 +34,8 @@ class Evaluation:
         rotation: about the task's axis, up to the drop or the end [rad].
         time_held: until then [s].
         dropped: whether it was dropped; a simulation that broke down counts as dropped.
+        strayed: whether its centre went further than half the drop distance, or it was dropped.
+        time_near: until then, or the end [s].
         diverged: whether the simulation broke down.
         returns: sum of the task's reward up to the drop or the end [rad/s].
         fingertips_only: share of the time held in which nothing but fingertips touched.
@@ -48,6 +50,8 @@ class Evaluation:
     rotation: Floats
     time_held: Floats
     dropped: Bools
+    strayed: Bools
+    time_near: Floats
     diverged: Bools
     returns: Floats
     fingertips_only: Floats
@@ -61,12 +65,16 @@ class Evaluation:
         held, steps = trace.held, len(trace.time) - 1
         moments = np.unique(np.linspace(0, steps, min(_MOMENTS, steps) + 1).round().astype(int))
         alone = (held & (trace.other_contact == 0.0)).sum(axis=0)
+        away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
+        near = np.logical_and.accumulate(held & (away <= protocol.task.drop_distance / 2), axis=0)
         return cls(
             object=scene.object,
             protocol=protocol,
             rotation=trace.final_rotation,
             time_held=trace.time_held,
             dropped=trace.dropped,
+            strayed=~near[-1],
+            time_near=trace.time[near.sum(axis=0) - 1],
             diverged=trace.diverged[-1],
             returns=returns_of(trace, scene, protocol.task),
             fingertips_only=alone / held.sum(axis=0),
@@ -88,14 +96,18 @@ class Evaluation:
         gone = np.where(self.dropped, self.time_held, np.inf)
         return (gone >= moments[:, None]).sum(axis=1)
 
-    def survival(self) -> tuple[Floats, Floats]:
+    def survival(self, *, near: bool = False) -> tuple[Floats, Floats]:
         """Times ``(K,)`` [s] after which fewer hold the object, and the share that does ``(K,)``.
 
         Every episode ends at the same time, so this is the Kaplan-Meier estimate. It begins at
         time 0; the share of a time holds from right after it to the next.
+
+        Args:
+            near: by the stricter rule: hold it within half the drop distance.
         """
-        times = np.unique([0.0, *self.time_held[self.dropped]])
-        return times, self.held(np.nextafter(times, np.inf)) / len(self.rotation)
+        ends = self.time_near[self.strayed] if near else self.time_held[self.dropped]
+        times = np.unique([0.0, *ends])
+        return times, 1.0 - (ends <= times[:, None]).sum(axis=1) / len(self.rotation)
 
     def figures(self) -> dict[str, Estimate]:
         """Medians and means with 95 % bootstrap intervals, shares with Wilson's.
@@ -110,6 +122,7 @@ class Evaluation:
             "time_held_median_s": bootstrap(self.time_held, "median"),
             "return_mean": bootstrap(self.returns, "mean"),
             "share_dropped": wilson(int(self.dropped.sum()), count),
+            "share_strayed": wilson(int(self.strayed.sum()), count),
             "share_full_turn": wilson(int((self.rotation >= FULL_TURN).sum()), count),
             "share_fingertips_only": bootstrap(self.fingertips_only, "mean"),
             "drift_median_m": bootstrap(self.drift, "median"),
@@ -120,6 +133,8 @@ class Evaluation:
         found: dict[str, Any] = {name: one.to_dict() for name, one in self.figures().items()}
         times, shares = self.survival()
         found["survival"] = {"time_s": times.tolist(), "share_held": shares.tolist()}
+        times, shares = self.survival(near=True)
+        found["survival_near"] = {"time_s": times.tolist(), "share_held": shares.tolist()}
         return found | {"diverged": int(self.diverged.sum())}
 
 

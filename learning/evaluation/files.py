@@ -21,14 +21,14 @@ QUANTILES = (10, 25, 50, 75, 90)
 def write_episodes(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
     """One row for each episode."""
     outcome = [
-        "rotation_rad", "time_held_s", "dropped", "diverged", "return", "fingertips_only_share",
-        "drift_m",
+        "rotation_rad", "time_held_s", "dropped", "strayed", "time_near_s", "diverged", "return",
+        "fingertips_only_share", "drift_m",
     ]  # fmt: skip
     rows = []
     for one in evaluations:
         columns = (
-            one.rotation, one.time_held, one.dropped, one.diverged, one.returns,
-            one.fingertips_only, one.drift,
+            one.rotation, one.time_held, one.dropped, one.strayed, one.time_near, one.diverged,
+            one.returns, one.fingertips_only, one.drift,
         )  # fmt: skip
         for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             rows.append([one.object, *_disturbance(one), one.protocol.seed + i, *row])

@@ -28,7 +28,7 @@ from learning.evaluation.rollout import Progress, evaluate, one_object
 from learning.evaluation.subject import Subject
 from learning.policies import Policy
 
-FORMAT = 2
+FORMAT = 3
 _ARRAYS = [field.name for field in fields(Evaluation) if field.name not in ("object", "protocol")]
 
 

@@ -33,6 +33,8 @@ def made(rotation: list[float], held: list[float], dropped: list[bool]) -> Evalu
         rotation=np.array(rotation),
         time_held=np.array(held),
         dropped=np.array(dropped),
+        strayed=np.array(dropped) | (np.arange(count) == 1),
+        time_near=np.minimum(held, 20.0),
         diverged=np.zeros(count, bool),
         returns=np.zeros(count),
         fingertips_only=np.arange(count) / (count - 1.0),
@@ -55,7 +57,44 @@ def test_figures_by_hand() -> None:
     assert figures["drift_median_m"].value == pytest.approx(0.015)
     told = json.loads(json.dumps(found.to_dict()))
     assert told["share_dropped"]["count"] == 4
+    assert told["share_strayed"]["count"] == 4 and told["share_strayed"]["value"] == 0.75
+    assert told["survival_near"] == {
+        "time_s": [0.0, 10.0, 20.0],
+        "share_held": [0.75, 0.5, 0.25],
+    }
     assert told["survival"] == {"time_s": [0.0, 10.0], "share_held": [0.75, 0.5]}
+
+
+def test_half_the_drop_distance_is_the_stricter_rule() -> None:
+    far = np.array([0.0, 0.02, 0.03, 0.01, 0.06])  # beyond 25 mm, back, then dropped
+    position = np.zeros((5, 2, 3))
+    position[:, 0, 0] = far
+    position[:, 1, 1] = far / 3
+    held = np.array([[True, True]] * 4 + [[False, True]])
+    quaternion = np.tile((1.0, 0.0, 0.0, 0.0), (5, 2, 1))
+    nothing = np.zeros((5, 2))
+    trace: Any = SimpleNamespace(
+        time=np.arange(5.0),
+        held=held,
+        object_position=position,
+        object_quaternion=quaternion,
+        other_contact=nothing,
+        in_contact=np.ones((5, 2, 5), bool),
+        rotation=nothing,
+        final_rotation=nothing[-1],
+        time_held=np.array([3.0, 4.0]),
+        dropped=np.array([True, False]),
+        diverged=nothing > 0,
+    )
+    scene: Any = SimpleNamespace(
+        object="cube",
+        gravity=np.array([0.0, 0.0, -9.81]),
+        settled=SimpleNamespace(qpos=np.array([0.0, 0, 0, 1, 0, 0, 0])),
+        object_qpos=slice(0, 7),
+    )
+    found = Evaluation.of(trace, scene, Protocol(episodes=2))
+    assert found.strayed.tolist() == [True, False]
+    assert found.time_near.tolist() == [1.0, 4.0]
 
 
 def test_drift_is_along_gravity_and_while_it_is_held() -> None:

@@ -39,6 +39,8 @@ def run(who: Any, protocol=None, *, object=None, progress=None) -> Evaluation:  
         rotation=rotation,
         time_held=np.ones(3),
         dropped=none,
+        strayed=none,
+        time_near=np.ones(3),
         diverged=none,
         returns=10 * rotation,
         fingertips_only=np.ones(3),
