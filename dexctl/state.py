@@ -38,6 +38,9 @@ class GraspState:
         object_position: object centre, ``(..., 3)`` [m], or None where nothing tracks it.
         object_quaternion: object orientation wxyz, ``(..., 4)``, or None.
         gravity: ``(..., 3)`` [m/s^2], or None where nothing tells it.
+        goal_quaternion: orientation that the object is wanted in, wxyz, ``(..., 4)``, or None
+            where none is wanted.
+        goal_angular_velocity: how the object is wanted to turn, ``(..., 3)`` [rad/s], or None.
         time: when the state was taken, ``(...)`` or one number for all [s].
         age: how old its oldest part is, ``(...)`` or one number for all [s].
 
@@ -54,6 +57,8 @@ class GraspState:
     object_position: Floats | None = None
     object_quaternion: Floats | None = None
     gravity: Floats | None = None
+    goal_quaternion: Floats | None = None
+    goal_angular_velocity: Floats | None = None
     time: Floats | float = 0.0
     age: Floats | float = 0.0
 
@@ -73,6 +78,10 @@ class GraspState:
             _expect(self, "object_quaternion", (*batch, 4))
         if self.gravity is not None:
             _expect(self, "gravity", (*batch, 3))
+        if self.goal_quaternion is not None:
+            _expect(self, "goal_quaternion", (*batch, 4))
+        if self.goal_angular_velocity is not None:
+            _expect(self, "goal_angular_velocity", (*batch, 3))
         for name in ("time", "age"):
             value = getattr(self, name)
             if type(value) is not float:
@@ -273,10 +282,12 @@ class GraspState:
         }
         if self.object_position is not None:
             values["object_position"] = rotate(back, self.object_position - place)
-        if self.object_quaternion is not None:
-            values["object_quaternion"] = multiply(back, self.object_quaternion)
-        if self.gravity is not None:
-            values["gravity"] = rotate(back, self.gravity)
+        for name in ("object_quaternion", "goal_quaternion"):
+            if getattr(self, name) is not None:
+                values[name] = multiply(back, getattr(self, name))
+        for name in ("gravity", "goal_angular_velocity"):
+            if getattr(self, name) is not None:
+                values[name] = rotate(back, getattr(self, name))
         return replace(self, **values)
 
     def without(self, fingers: Bools) -> GraspState:

@@ -80,7 +80,9 @@ def not_as_usual(config: SceneConfig) -> list[tuple[str, str]]:
         if path in _SAID or value == settings.get(usual, path):
             continue
         unit = units(SceneConfig).get(path, "")
-        rows.append((path.rpartition(".")[2].replace("_", " "), f"{_shown(value)} {unit}".strip()))
+        rows.append(
+            (path.rpartition(".")[2].replace("_", " "), f"{setting_text(value)} {unit}".strip())
+        )
     return rows
 
 
@@ -120,9 +122,10 @@ def _start(config: SceneConfig) -> str:
     return f"{grasp}, set-points disturbed by N(0, {config.disturbance:g} rad)"
 
 
-def _shown(value: Any) -> str:
+def setting_text(value: Any) -> str:
+    """The value of a setting, for people."""
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, tuple):
-        return ", ".join(_shown(one) for one in value)
+        return ", ".join(setting_text(one) for one in value)
     return "none" if value is None else str(value)

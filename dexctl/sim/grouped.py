@@ -120,7 +120,7 @@ class GroupedSimulator:
     def read(self) -> GraspState:
         """See `BatchSimulator.read`."""
         states = [group.read() for group in self.groups]
-        names = GraspState.__dataclass_fields__
+        names = [name for name, value in states[0].arrays().items() if value is not None]
         return GraspState(
             **{name: np.concatenate([getattr(state, name) for state in states]) for name in names}
         )

@@ -23,6 +23,7 @@ from dexctl.streams import Streams, StreamsState
 
 # The streams of one environment must not repeat each other; the simulator's takes the seed itself.
 _NOISE_SEED, _DRAW_SEED, _PUSH_SEED, _RANDOM_SEED = 1 << 40, 1 << 41, 1 << 43, 1 << 44
+_TASK_SEED = 1 << 45
 
 
 class Simulation:
@@ -42,6 +43,7 @@ class Simulation:
         sim: the physics.
         randomiser: what holds in the episodes, where it is drawn for each.
         objects: name of the object in each environment.
+        task_streams: random numbers for what the hands are to do, ``(N,)``.
 
     Raises:
         UnknownName, InvalidInput: a setting is wrong.
@@ -83,6 +85,7 @@ class Simulation:
         self._sampler: StateSampler | None = None
         self.start_from(None)
         self._draws = Streams(seeds + _DRAW_SEED, (count,))
+        self.task_streams = Streams(seeds + _TASK_SEED, (count,))
         self._pusher = Pusher(
             config.push, Streams(seeds + _PUSH_SEED, (count,)), self.control_period
         )
@@ -121,6 +124,7 @@ class Simulation:
         else:
             seeds = spread_seeds(seed, self.num_envs)
             self._draws.reseed(seeds + _DRAW_SEED, chosen)
+            self.task_streams.reseed(seeds + _TASK_SEED, chosen)
             self._pusher.streams.reseed(seeds + _PUSH_SEED, chosen)
             self._sensor.streams.reseed(seeds + _NOISE_SEED, chosen)
             self.randomiser.streams.reseed(seeds + _RANDOM_SEED, chosen)
@@ -220,6 +224,7 @@ class Simulation:
             "sensor": self._sensor.save(),
             "pushes": self._pusher.save(),
             "draws": self._draws.save()._asdict(),
+            "task_streams": self.task_streams.save()._asdict(),
             "randomiser": self.randomiser.save(),
             "steps": self._steps.copy(),
             "state": self._state.arrays(),
@@ -247,6 +252,7 @@ class Simulation:
         self._sensor.restore(saved["sensor"])
         self._pusher.restore(saved["pushes"])
         self._draws.restore(StreamsState(**saved["draws"]))
+        self.task_streams.restore(StreamsState(**saved["task_streams"]))
         self._steps = saved["steps"].copy()
         self._state, self._seen = GraspState(**saved["state"]), GraspState(**saved["seen"])
         self._unseen = np.zeros(self.num_envs, bool)

@@ -18,6 +18,7 @@ from dexctl.report.machine import machine
 from dexctl.report.words import about, interval
 from dexctl.settings import to_plain
 from learning.cli import evaluate_figures as figures
+from learning.envs.tasks import NO_GOALS
 from learning.evaluation import Evaluation, Protocol, files
 from learning.evaluation.robustness import disturbance, levels_of
 from learning.evaluation.transfer import Trained, Transfer
@@ -120,6 +121,10 @@ def _figures(one: Evaluation) -> Table:
     return facts(
         (name, interval(figures[figure], unit, digits, factor))
         for name, figure, unit, digits, factor in (
+            ("first goal reached", "share_first_goal_reached", "%", 0, 100.0),
+            ("goals reached", "share_goals_reached", "%", 0, 100.0),
+            ("time to the first", "first_goal_median_s", "s", 1, 1.0),
+            ("goals in a row", "goals_in_a_row_median", "", 1, 1.0),
             ("rotation", "rotation_median_rad", "rad", 2, 1.0),
             ("revolutions", "revolutions_median", "", 2, 1.0),
             ("mean speed", "speed_mean_rad_s", "rad/s", 3, 1.0),
@@ -137,6 +142,7 @@ def _figures(one: Evaluation) -> Table:
             ("only fingertips touch", "share_fingertips_only", "%", 0, 100.0),
             ("sinks by", "drift_median_m", "mm", 1, 1e3),
         )
+        if figure in figures
     )
 
 
@@ -156,7 +162,12 @@ def _disturbances(rows: Sequence[Evaluation]) -> Table:
 
 
 def _setting(protocol: Protocol) -> str:
-    said = [protocol.scene.palm, about(protocol.task.axis)]
+    task = protocol.task
+    said = [protocol.scene.palm, about(task.axis)]
+    if task.goals != NO_GOALS:
+        said[1] = f"goals {task.goals}"
+    elif task.turning.commands:
+        said[1] = f"commands {', '.join(task.turning.commands)}"
     said += [f"{what} {value}" for what, value in not_as_usual(protocol.scene)]
     return ", ".join(said)
 

@@ -141,7 +141,7 @@ def _figures(row: Mapping[str, Any]) -> str:
     if "return" in row:
         words += [
             f"return {row['return']:.1f}",
-            f"turned {row['rotation']:.2f} rad",
+            f"goals {row['goals']:.1f}" if "goals" in row else f"turned {row['rotation']:.2f} rad",
             f"drop {100 * row['dropped']:.0f} %",
         ]
     if "controller_share" in row:

@@ -13,7 +13,9 @@ from dexctl.exceptions import MissingExtra
 from learning.envs.action import SetPointAction
 from learning.envs.config import EnvConfig
 from learning.envs.observation import DEFAULT_PARTS, PARTS, Observation
+from learning.envs.reorientation import ReorientationConfig
 from learning.envs.task import Judgement, Step, Task
+from learning.envs.tasks import TaskConfig
 from learning.envs.turning import TurningConfig
 
 if TYPE_CHECKING:
@@ -28,9 +30,11 @@ __all__ = [
     "ManipulationEnv",
     "ManipulationVectorEnv",
     "Observation",
+    "ReorientationConfig",
     "SetPointAction",
     "Step",
     "Task",
+    "TaskConfig",
     "TurningConfig",
     "make_vector",
 ]

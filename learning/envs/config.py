@@ -5,11 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from dexctl.exceptions import InvalidInput
 from dexctl.settings import NESTED
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_numbers, check_whole
-from learning.envs.observation import DEFAULT_PARTS, PARTS, TRUTH, check_names, check_parts
-from learning.envs.turning import TurningConfig
+from learning.envs.observation import (
+    DEFAULT_PARTS,
+    ORIENTATIONS,
+    TRUTH,
+    TURNING,
+    check_names,
+    check_parts,
+)
+from learning.envs.tasks import NO_GOALS, TaskConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +29,7 @@ class EnvConfig:
     """
 
     scene: Annotated[SceneConfig, NESTED] = SceneConfig()
-    task: Annotated[TurningConfig, NESTED] = TurningConfig()
+    task: Annotated[TaskConfig, NESTED] = TaskConfig()
     episode_steps: int = 1000
     """Control steps until an episode is truncated."""
     max_speed: float = 2.0
@@ -29,8 +37,8 @@ class EnvConfig:
     max_lead: float = 0.25
     """Set-points are kept this close to the measured joints [rad]."""
     parts: tuple[str, ...] = DEFAULT_PARTS
-    """What the policy observes, in this order; touch, gravity, object_position and
-    object_quaternion may be added."""
+    """What the policy observes, in this order; touch, gravity, object_position,
+    object_quaternion, goal_quaternion, goal_rotation and goal_angular_velocity may be added."""
     critic_parts: tuple[str, ...] = ()
     """What the critics observe beside it, without noise: any of these parts, and object_velocity,
     fingertip_force (net force of each on the object) and drawn (what randomisation drew for the
@@ -42,8 +50,27 @@ class EnvConfig:
     def __post_init__(self) -> None:
         check_numbers(self, positive=("max_speed", "max_lead"))
         check_whole(self, episode_steps=1)
-        known = {**PARTS, **self.task.parts}
-        check_parts(self.parts, known)
+        check_parts(self.parts)
         seen = (*self.parts, *self.critic_parts)
-        check_parts([name for name in seen if name not in TRUTH], known)
+        check_parts([name for name in seen if name not in TRUTH])
         check_names(seen)
+        self._check_goals(seen)
+
+    def _check_goals(self, seen: tuple[str, ...]) -> None:
+        """Whoever is to reach goals must see them; and nobody sees those that there are not."""
+        goals, commands = self.task.goals, self.task.turning.commands
+        turning = goals == NO_GOALS
+        for name in seen:
+            if name in (ORIENTATIONS if turning else (TURNING,)):
+                raise InvalidInput(f"parts has {name}, and goals is {goals!r}, where there is none")
+        told, why = (
+            ((TURNING,), f"commands is {', '.join(commands)}")
+            if turning
+            else (ORIENTATIONS, f"goals is {goals!r}")
+        )
+        varies = bool(commands) if turning else goals != "root"
+        if varies and not set(told) & set(self.parts):
+            raise InvalidInput(
+                f"{why}, and parts is {', '.join(self.parts)}, which does not tell what is wanted; "
+                f"expected {' or '.join(told)} among them"
+            )

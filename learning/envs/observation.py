@@ -14,6 +14,10 @@ order, coordinates x, y, z in the world (= hand) frame:
 | ``touch`` | m | 1 where the fingertip touches, else 0 |
 | ``object_position`` | 3 | [m] |
 | ``object_quaternion`` | 4 | wxyz, w >= 0 |
+| ``gravity`` | 3 | its direction |
+| ``goal_quaternion`` | 4 | orientation that the object is wanted in, wxyz, w >= 0 |
+| ``goal_rotation`` | 6 | the turn from where the object is to there: where it takes x and y |
+| ``goal_angular_velocity`` | 3 | how the object is wanted to turn [rad/s] |
 
 Rows of fingers that do not touch are zero. ``VERSION`` counts the changes of this table.
 """
@@ -29,6 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
+from dexctl.rotations import inverse, multiply, rotate
 from dexctl.state import Floats, GraspState
 
 VERSION = 1
@@ -187,6 +192,18 @@ def _direction(vector: Floats | None) -> Floats | None:
     return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)
 
 
+def _goal_rotation(state: GraspState) -> Floats | None:
+    """Two columns of the rotation matrix: unlike an angle, they change without jumps.
+
+    (Zhou et al., On the continuity of rotation representations in neural networks, 2019.)
+    """
+    if state.goal_quaternion is None or state.object_quaternion is None:
+        return None
+    turn = multiply(state.goal_quaternion, inverse(state.object_quaternion))[..., None, :]
+    columns = rotate(turn, np.broadcast_to(np.eye(3)[:2], (*turn.shape[:-2], 2, 3)))
+    return columns.reshape(*turn.shape[:-2], 6)
+
+
 DRAWN = "drawn"
 OBJECT_VELOCITY, FINGERTIP_FORCE = "object_velocity", "fingertip_force"
 TRUTH = (DRAWN, OBJECT_VELOCITY, FINGERTIP_FORCE)
@@ -206,7 +223,23 @@ PARTS: dict[str, Part] = {
     "gravity": Part(
         lambda d, m: 3, lambda state: _direction(state.gravity), (-1.0, 1.0), "gravity's direction"
     ),
+    "goal_quaternion": Part(
+        lambda d, m: 4,
+        lambda state: _upper_half(state.goal_quaternion),
+        (-1.0, 1.0),
+        "a goal orientation",
+    ),
+    "goal_rotation": Part(
+        lambda d, m: 6, _goal_rotation, (-1.0, 1.0), "a goal orientation and the object's pose"
+    ),
+    "goal_angular_velocity": Part(
+        lambda d, m: 3, lambda state: state.goal_angular_velocity, needs="a wanted angular velocity"
+    ),
 }
+ORIENTATIONS = ("goal_quaternion", "goal_rotation")
+"""The parts that tell which orientation is wanted."""
+TURNING = "goal_angular_velocity"
+"""The part that tells how the object is wanted to turn."""
 
 
 def check_names(parts: Sequence[str]) -> tuple[str, ...]:

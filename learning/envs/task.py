@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from dexctl.state import Bools, Floats, GraspState
-from learning.envs.observation import Part
+
+if TYPE_CHECKING:
+    from dexctl.sim import Simulation
 
 
 class Step(NamedTuple):
@@ -28,6 +29,18 @@ class Step(NamedTuple):
     fingertips_only: Bools
     start_position: Floats
     diverged: Bools
+
+    @classmethod
+    def of(cls, simulation: Simulation) -> Step:
+        """The control step that ``simulation`` has just made."""
+        sim = simulation.sim
+        return cls(
+            state=simulation.state,
+            angular_velocity=sim.object_angular_velocity,
+            fingertips_only=sim.other_contact == 0.0,
+            start_position=sim.start_position,
+            diverged=simulation.diverged,
+        )
 
 
 class Judgement(NamedTuple):
@@ -49,12 +62,13 @@ class Judgement(NamedTuple):
 class Task(ABC):
     """What N environments are for."""
 
-    parts: ClassVar[Mapping[str, Part]] = {}
-    """Parts of the observation beside those of `learning.envs.observation.PARTS`, by name."""
-
     @abstractmethod
     def begin(self, chosen: Bools, state: GraspState) -> None:
         """Episodes begin with ``state`` in the environments chosen, ``(N,)``."""
+
+    def with_goal(self, state: GraspState) -> GraspState:
+        """``state`` with what the object is wanted to do, for those who act and observe."""
+        return state
 
     @abstractmethod
     def judge(self, step: Step) -> Judgement:

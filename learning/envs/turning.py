@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dexctl.rotations import inverse, multiply, rotate, rotation_vector
-from dexctl.settings import Vector
+from dexctl.exceptions import InvalidInput
+from dexctl.rotations import inverse, multiply, rotate
+from dexctl.settings import Range, Vector
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import check_numbers, check_whole, unit_axis
-from learning.envs.observation import Part
+from dexctl.validation import AXES, check_name, check_numbers, check_whole, unit_axis
 from learning.envs.task import Judgement, Step, Task
 
 if TYPE_CHECKING:
-    from dexctl.sim import Scene, Simulation, Trace
+    from dexctl.sim import Scene, Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurningConfig:
-    """What turning an object is worth, and when it is lost.
+    """What turning an object is worth.
 
     Raises:
         UnknownName, InvalidInput: a setting is wrong; the message names it.
@@ -35,8 +34,6 @@ class TurningConfig:
     """Tilt of the object up to which turning is rewarded [rad] (phi_max)."""
     min_fingertips: int = 3
     """Turning is rewarded where at least so many fingertips touch."""
-    drop_distance: float = 0.05
-    """The object is lost when its centre is this far from where it started [m]."""
     wanted_speed: float | None = None
     """A speed to keep: beyond it the reward falls as it rose before [rad/s]. None: the faster the
     better, up to max_reward."""
@@ -48,30 +45,41 @@ class TurningConfig:
     """Taken off in every step in which the object touches anything but fingertips [rad/s]."""
     end_on_links: bool = False
     """Whether the object counts as lost in training where it touches anything but fingertips."""
+    commands: tuple[str, ...] = ()
+    """Axes of which one after the other is drawn, in place of the one axis: x, y, z, -x, -y, -z, or
+    any, which is any direction; the policy sees them in goal_angular_velocity."""
+    command_seconds: float = 10.0
+    """How long a command holds before the next is drawn [s]."""
+    command_speed_range: Range = (0.5, 0.5)
+    """The wanted speed is drawn from this range with each command; turning faster is worth no more,
+    whatever max_reward [rad/s]."""
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            positive=("max_reward", "max_tilt", "drop_distance"),
+            positive=("max_reward", "max_tilt", "command_seconds"),
             not_negative=("drop_cost", "drift_cost", "links_cost"),
             optional=("wanted_speed",),
         )
         check_whole(self, min_fingertips=0)
         unit_axis(self.axis)
+        for name in self.commands:
+            check_name("command", name, (*AXES, ANY))
+        low, high = self.command_speed_range
+        if not 0 < low <= high < np.inf:
+            raise InvalidInput(
+                f"command_speed_range is {self.command_speed_range}; expected two finite "
+                "numbers above 0, the lower one first"
+            )
 
     @property
     def direction(self) -> tuple[float, float, float]:
         """``axis`` as a unit vector."""
         return unit_axis(self.axis)
 
-    @property
-    def parts(self) -> Mapping[str, Part]:
-        """Parts of the observation that the task adds: none."""
-        return Turning.parts
 
-    def build(self, simulation: Simulation) -> Turning:
-        """The task in these environments."""
-        return Turning(self, simulation)
+ANY = "any"
+"""The command that is any direction."""
 
 
 class Motion(NamedTuple):
@@ -94,13 +102,14 @@ class Motion(NamedTuple):
     dropped: Bools
 
 
-def reward(motion: Motion, config: TurningConfig) -> Floats:
+def reward(motion: Motion, config: TurningConfig, most: Floats | None = None) -> Floats:
     """The reward of one control step ``(...)`` [rad/s] (thesis, chapter 3, eq. reward).
 
     r = min(r_max, w . k) where at least ``min_fingertips`` and nothing but fingertips touch and
     the tilt is at most phi_max; min(0, w . k) elsewhere. The equation leaves "nothing but
     fingertips" to its text. With a speed v to keep (chapter 5, which gives no equation), w . k
-    counts as min(w . k, 2 v - w . k). All costs are taken off.
+    counts as min(w . k, 2 v - w . k). All costs are taken off. ``most`` ``(...)`` stands for r_max
+    where it is given.
     """
     speed = motion.speed
     if config.wanted_speed is not None:
@@ -110,7 +119,8 @@ def reward(motion: Motion, config: TurningConfig) -> Floats:
         & motion.fingertips_only
         & (motion.tilt <= config.max_tilt)
     )
-    found = np.where(good, np.minimum(speed, config.max_reward), np.minimum(speed, 0.0))
+    most = np.full_like(speed, config.max_reward) if most is None else most
+    found: Floats = np.where(good, np.minimum(speed, most), np.minimum(speed, 0.0))
     for cost, amount in (
         (config.drop_cost, motion.dropped),
         (config.drift_cost, motion.away),
@@ -121,91 +131,128 @@ def reward(motion: Motion, config: TurningConfig) -> Floats:
     return found
 
 
-def returns_of(trace: Trace, scene: Scene, config: TurningConfig) -> Floats:
-    """The return ``(N,)`` [rad/s] of the episodes in ``trace``, up to the drop."""
-    quaternion, axis = trace.object_quaternion, np.array(config.direction)
-    turn = rotation_vector(multiply(quaternion[1:], inverse(quaternion[:-1])))
-    upright = np.broadcast_to(upright_of(scene), quaternion[1:].shape)
-    motion = Motion(
-        speed=turn @ axis / float(trace.time[1] - trace.time[0]),
-        tilt=tilt(quaternion[1:], upright, axis),
-        fingertips=trace.in_contact[1:].sum(axis=-1),
-        fingertips_only=trace.other_contact[1:] == 0.0,
-        away=np.linalg.norm(trace.object_position[1:] - trace.object_position[0], axis=-1),
-        dropped=trace.held[:-1] & ~trace.held[1:],
-    )
-    # the step that drops the object counts still; one that breaks down does not
-    counts = trace.held[:-1] & ~trace.diverged[1:]
-    return np.where(counts, reward(motion, config), 0.0).sum(axis=0)
-
-
 class Turning(Task):
     """The object is turned about an axis; dropped, the episode ends.
 
     Args:
         config: what it is worth.
         simulation: the environments'.
+        drop_distance: the object is lost when it is this far from its start [m].
 
     Attributes:
-        rotation: unwrapped turn about the axis since the start, ``(N,)`` [rad].
+        axis: about which each object is wanted to turn, unit ``(N, 3)``.
+        speed: how fast, ``(N,)`` [rad/s].
+        rotation: unwrapped turn about the axes wanted since the start, ``(N,)`` [rad].
     """
 
-    def __init__(self, config: TurningConfig, simulation: Simulation) -> None:
+    def __init__(self, config: TurningConfig, simulation: Simulation, drop_distance: float) -> None:
         self.config = config
-        self._axis = np.array(config.direction)
-        sim, count = simulation.sim, simulation.num_envs
-        self._upright = np.concatenate(
-            [
-                np.tile(upright_of(group.scene), (rows.stop - rows.start, 1))
-                for group, rows in zip(sim.groups, sim.slices, strict=True)
-            ]
-        )
+        self._simulation, self._drop_distance = simulation, drop_distance
+        count = simulation.num_envs
+        self.axis = np.tile(config.direction, (count, 1))
+        self.speed = np.full(count, config.max_reward)
+        self._upright = uprights(simulation)
+        self._reference = self._upright.copy()  # what tilt is measured from
         self.rotation = np.zeros(count)
         self._angle = np.zeros(count)  # of the twist since the start, not unwrapped
         self._start = np.tile((1.0, 0.0, 0.0, 0.0), (count, 1))
+        self._since = np.zeros(count, np.int64)  # steps since the command
 
     def begin(self, chosen: Bools, state: GraspState) -> None:
         assert state.object_quaternion is not None
-        self._start[chosen] = state.object_quaternion[chosen]
-        self.rotation[chosen] = self._angle[chosen] = 0.0
+        self.rotation[chosen] = 0.0
+        self._command(chosen, state.object_quaternion)
+        self._reference[chosen] = self._upright[chosen]
+
+    def _command(self, chosen: Bools, now: Floats) -> None:
+        """Turning begins anew in the environments chosen, about other axes where they are drawn."""
+        self._start[chosen] = self._reference[chosen] = now[chosen]
+        self._angle[chosen] = 0.0
+        self._since[chosen] = 0
+        if not self.config.commands:
+            return
+        number = self._simulation.task_streams.uniform((4,), chosen)
+        low, high = self.config.command_speed_range
+        commands = np.array(self.config.commands)
+        names = commands[(number[:, 0] * len(commands)).astype(int)]
+        # any direction: height and azimuth of a point on the sphere (Archimedes)
+        height, azimuth = 2.0 * number[:, 1] - 1.0, 2.0 * np.pi * number[:, 2]
+        flat = np.sqrt(1.0 - height**2)
+        axis = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height], axis=1)
+        for name, vector in AXES.items():
+            axis[names == name] = vector
+        self.axis = np.where(chosen[:, None], axis, self.axis)
+        self.speed = np.where(chosen, low + number[:, 3] * (high - low), self.speed)
+
+    def with_goal(self, state: GraspState) -> GraspState:
+        return replace(state, goal_angular_velocity=self.speed[:, None] * self.axis)
 
     def judge(self, step: Step) -> Judgement:
         position, quaternion = step.state.object_position, step.state.object_quaternion
         assert position is not None
         assert quaternion is not None
         away = np.linalg.norm(position - step.start_position, axis=-1)
-        dropped = away > self.config.drop_distance
+        dropped = away > self._drop_distance
         if self.config.end_on_links:
             dropped |= ~step.fingertips_only
         dropped &= ~step.diverged
+        speed = np.einsum("ni,ni->n", step.angular_velocity, self.axis)
         motion = Motion(
-            speed=np.where(step.diverged, 0.0, step.angular_velocity @ self._axis),
-            tilt=tilt(quaternion, self._upright, self._axis),
+            speed=np.where(step.diverged, 0.0, speed),
+            tilt=tilt(quaternion, self._reference, self.axis),
             fingertips=step.state.in_contact.sum(axis=-1),
             fingertips_only=step.fingertips_only,
             away=away,
             dropped=dropped,
         )
-        angle = twist_angle(multiply(quaternion, inverse(self._start)), self._axis)
+        angle = twist_angle(multiply(quaternion, inverse(self._start)), self.axis)
         self.rotation = self.rotation + shortest(angle - self._angle)
         self._angle = angle
+        worth = reward(motion, self.config, self.speed)
+        info = {**motion._asdict(), "rotation": self.rotation.copy()}
+        self._since = self._since + 1
+        if self.config.commands:
+            over = self._since * self._simulation.control_period >= self.config.command_seconds
+            if over.any():
+                self._command(over, quaternion)
         return Judgement(
-            reward=np.where(step.diverged, 0.0, reward(motion, self.config)),
+            reward=np.where(step.diverged, 0.0, worth),
             dropped=dropped,
             succeeded=np.zeros(len(away), bool),  # it can always be turned further
-            info={**motion._asdict(), "rotation": self.rotation.copy()},
+            info=info,
         )
 
-    def save(self) -> dict[str, Any]:
+    def _arrays(self) -> dict[str, np.ndarray]:
         return {
-            "rotation": self.rotation.copy(),
-            "angle": self._angle.copy(),
-            "start": self._start.copy(),
+            "rotation": self.rotation,
+            "angle": self._angle,
+            "start": self._start,
+            "axis": self.axis,
+            "speed": self.speed,
+            "reference": self._reference,
+            "since": self._since,
         }
 
+    def save(self) -> dict[str, Any]:
+        return {name: array.copy() for name, array in self._arrays().items()}
+
     def restore(self, saved: dict[str, Any]) -> None:
-        self.rotation, self._angle = saved["rotation"].copy(), saved["angle"].copy()
-        self._start = saved["start"].copy()
+        found = {name: saved[name].copy() for name in self._arrays()}
+        self.rotation, self._angle, self._start = (
+            found[name] for name in ("rotation", "angle", "start")
+        )
+        self.axis, self.speed = found["axis"], found["speed"]
+        self._reference, self._since = found["reference"], found["since"]
+
+
+def uprights(simulation: Simulation) -> Floats:
+    """The objects' orientations in the settled grasps, wxyz ``(N, 4)``."""
+    sim = simulation.sim
+    rows = [
+        np.tile(upright_of(group.scene), (rows.stop - rows.start, 1))
+        for group, rows in zip(sim.groups, sim.slices, strict=True)
+    ]
+    return np.concatenate(rows)
 
 
 def upright_of(scene: Scene) -> Floats:
@@ -219,19 +266,20 @@ def tilt(quaternion: Floats, upright: Floats, axis: Floats) -> Floats:
     Args:
         quaternion: of the object now, wxyz ``(..., 4)``.
         upright: of the object in its settled grasp, ``(..., 4)``.
-        axis: unit vector ``(3,)``.
+        axis: unit vector ``(3,)`` or ``(..., 3)``.
     """
     relative = multiply(quaternion, inverse(upright))
-    now = rotate(relative, np.broadcast_to(axis, (*relative.shape[:-1], 3)))
-    return np.arccos(np.clip(now @ axis, -1.0, 1.0))
+    axis = np.broadcast_to(axis, (*relative.shape[:-1], 3))
+    now = rotate(relative, axis)
+    return np.arccos(np.clip((now * axis).sum(axis=-1), -1.0, 1.0))
 
 
 def twist_angle(quaternion: Floats, axis: Floats) -> Floats:
-    """The turn about ``axis`` ``(...)`` [rad], in [-2 pi, 2 pi].
+    """The turn about ``axis``, ``(3,)`` or ``(..., 3)``: ``(...)`` [rad], in [-2 pi, 2 pi].
 
     It is the twist of the swing-twist decomposition, so that tilting alone does not count.
     """
-    return 2.0 * np.arctan2(quaternion[..., 1:] @ axis, quaternion[..., 0])
+    return 2.0 * np.arctan2((quaternion[..., 1:] * axis).sum(axis=-1), quaternion[..., 0])
 
 
 def shortest(angle: Floats) -> Floats:

@@ -109,11 +109,10 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
 
     def _observe_with(self) -> None:
         config = self.config
-        parts = {**self.task.parts, **truth_parts(self.simulation)}
         options = {
             "scaled": config.scaled,
             "centre": self.simulation.sim.groups[0].scene.grasp_centre,
-            "more": parts,
+            "more": truth_parts(self.simulation),
         }
         self.observation = Observation(self.hand, config.parts, **options)
         seen = [self.observation]
@@ -130,8 +129,8 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
 
     @property
     def state(self) -> GraspState:
-        """The true state ``(N,)``, as controllers see it in training."""
-        return self.simulation.state
+        """The true state ``(N,)``, as controllers see it in training, with what is wanted."""
+        return self.task.with_goal(self.simulation.state)
 
     def action_to_change(self, actions: ArrayLike) -> Floats:
         """Set-point changes [rad] that actions ``(..., d)`` ask for."""
@@ -190,16 +189,7 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         simulation.step()
         diverged = simulation.diverged
         self._count_diverged(diverged & ~broken)
-        sim = simulation.sim
-        found = self.task.judge(
-            Step(
-                state=simulation.state,
-                angular_velocity=sim.object_angular_velocity,
-                fingertips_only=sim.other_contact == 0.0,
-                start_position=sim.start_position,
-                diverged=diverged,
-            )
-        )
+        found = self.task.judge(Step.of(simulation))
         self._length += 1
         self._returns += found.reward
         terminated = found.dropped | found.succeeded | diverged
@@ -241,8 +231,8 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
 
     def _observe(self) -> NDArray[np.float32]:
         """What the policy's sensors tell and, for critics, how things are."""
-        seen = self.observation(self.simulation.read())
-        more = [one(self.simulation.state) for one in self.observations[1:]]
+        seen = self.observation(self.task.with_goal(self.simulation.read()))
+        more = [one(self.state) for one in self.observations[1:]]
         return np.concatenate([seen, *more], axis=-1) if more else seen
 
     def save(self) -> dict[str, Any]:

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dexctl.state import Bools, Floats
 from dexctl.statistics import Estimate, bootstrap, wilson
-from learning.envs.turning import returns_of
+from learning.envs.tasks import NO_GOALS
+from learning.evaluation.judged import Judged
 from learning.evaluation.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -31,13 +33,16 @@ class Evaluation:
     Attributes:
         object: its name.
         protocol: as evaluated.
-        rotation: about the task's axis, up to the drop or the end [rad].
+        rotation: about the task's axis, or those that it commanded, up to the drop or the end
+            [rad].
         time_held: until then [s].
         dropped: whether it was dropped; a simulation that broke down counts as dropped.
         strayed: whether its centre went further than half the drop distance, or it was dropped.
         time_near: until then, or the end [s].
         diverged: whether the simulation broke down.
         returns: sum of the task's reward up to the drop or the end [rad/s].
+        goals_reached, goals_missed, goals_in_a_row, first_goal_time: see `Goals`; without goals 0,
+            and no time is finite.
         fingertips_only: share of the time held in which nothing but fingertips touched.
         drift: how far the object's centre went along gravity, at most, while it was held; in any
             direction where gravity is drawn for each episode [m].
@@ -54,35 +59,47 @@ class Evaluation:
     time_near: Floats
     diverged: Bools
     returns: Floats
+    goals_reached: NDArray[np.int64]
+    goals_missed: NDArray[np.int64]
+    goals_in_a_row: NDArray[np.int64]
+    first_goal_time: Floats
     fingertips_only: Floats
     drift: Floats
     moments: Floats
     rotations: Floats
 
     @classmethod
-    def of(cls, trace: Trace, scene: Scene, protocol: Protocol) -> Evaluation:
-        """The evaluation of a trace of N episodes in ``scene``."""
+    def of(cls, trace: Trace, scene: Scene, protocol: Protocol, judged: Judged) -> Evaluation:
+        """The evaluation of a trace of N episodes in ``scene``, as the task judged them."""
         held, steps = trace.held, len(trace.time) - 1
         moments = np.unique(np.linspace(0, steps, min(_MOMENTS, steps) + 1).round().astype(int))
+        goals, rotation = judged.goals(trace), trace.rotation
+        if protocol.task.goals == NO_GOALS and protocol.task.turning.commands:
+            last = np.maximum.accumulate(np.where(held, np.arange(steps + 1)[:, None], 0), axis=0)
+            rotation = np.take_along_axis(judged.rotation, last, axis=0)
         alone = (held & (trace.other_contact == 0.0)).sum(axis=0)
         away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
         near = np.logical_and.accumulate(held & (away <= protocol.task.drop_distance / 2), axis=0)
         return cls(
             object=scene.object,
             protocol=protocol,
-            rotation=trace.final_rotation,
+            rotation=rotation[-1],
             time_held=trace.time_held,
             dropped=trace.dropped,
             strayed=~near[-1],
             time_near=trace.time[near.sum(axis=0) - 1],
             diverged=trace.diverged[-1],
-            returns=returns_of(trace, scene, protocol.task),
+            returns=judged.returns(trace),
+            goals_reached=goals.reached,
+            goals_missed=goals.missed,
+            goals_in_a_row=goals.in_a_row,
+            first_goal_time=goals.first_time,
             fingertips_only=alone / held.sum(axis=0),
             drift=drift_of(
                 trace, None if protocol.scene.randomisation.draws_gravity else scene.gravity
             ),
             moments=trace.time[moments],
-            rotations=trace.rotation[moments],
+            rotations=rotation[moments],
         )
 
     @property
@@ -115,7 +132,8 @@ class Evaluation:
         The time to failure is the time held: in the episodes that did not fail, all of it.
         """
         count = len(self.rotation)
-        return {
+        goals = {} if self.protocol.task.goals == NO_GOALS else self._goals()
+        return goals | {
             "rotation_median_rad": bootstrap(self.rotation, "median"),
             "revolutions_median": bootstrap(self.rotation / FULL_TURN, "median"),
             "speed_mean_rad_s": bootstrap(self.speed, "mean"),
@@ -126,6 +144,24 @@ class Evaluation:
             "share_full_turn": wilson(int((self.rotation >= FULL_TURN).sum()), count),
             "share_fingertips_only": bootstrap(self.fingertips_only, "mean"),
             "drift_median_m": bootstrap(self.drift, "median"),
+        }
+
+    def _goals(self) -> dict[str, Estimate]:
+        """Of goals, which an episode's share is of: those that were reached, missed or dropped.
+
+        The first goal's time is that of all episodes; not reached, it counts as the time that
+        there is for one. First goals of episodes are independent, those that follow are not.
+        """
+        resolved = self.goals_reached + self.goals_missed + self.dropped
+        share = self.goals_reached / np.maximum(resolved, 1)
+        longest = min(self.protocol.task.reorientation.goal_seconds, self.protocol.seconds)
+        reached = np.isfinite(self.first_goal_time)
+        return {
+            "share_first_goal_reached": wilson(int(reached.sum()), len(reached)),
+            "share_goals_reached": bootstrap(share, "mean"),
+            "first_goal_median_s": bootstrap(np.minimum(self.first_goal_time, longest), "median"),
+            "goals_in_a_row_median": bootstrap(self.goals_in_a_row.astype(float), "median"),
+            "goals_reached_mean": bootstrap(self.goals_reached.astype(float), "mean"),
         }
 
     def to_dict(self) -> dict[str, Any]:

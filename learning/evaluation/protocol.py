@@ -8,7 +8,7 @@ from typing import Annotated
 from dexctl.settings import NESTED
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_numbers, check_whole
-from learning.envs.turning import TurningConfig
+from learning.envs.tasks import TaskConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Protocol:
     """
 
     scene: Annotated[SceneConfig, NESTED] = field(default_factory=SceneConfig)
-    task: Annotated[TurningConfig, NESTED] = field(default_factory=TurningConfig)
+    task: Annotated[TaskConfig, NESTED] = field(default_factory=TaskConfig)
     episodes: int = 100
     """How many episodes there are, for each object."""
     seconds: float = 60.0

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 from typing import Protocol as Interface
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
+from dexctl.state import Floats
 from learning.evaluation.figures import Evaluation
+from learning.evaluation.judged import Judged
 from learning.evaluation.protocol import Protocol
 from learning.evaluation.subject import Subject
 
@@ -28,11 +30,13 @@ class Rollout:
         trace: what happened, as it was, whatever the sensors told.
         scene: hand and object.
         evaluation: what it came to.
+        wanted: of the objects at rows 0 to T, ``(T+1, N, ...)``, by `GraspState`'s names.
     """
 
     trace: Trace
     scene: Scene
     evaluation: Evaluation
+    wanted: Mapping[str, Floats] = field(default_factory=dict)
 
 
 class Run(Interface):
@@ -84,17 +88,19 @@ def rollout(
     )
     with Simulation(config, protocol.episodes, protocol.seed, hand=controller.hand) as simulation:
         controller.reset(protocol.seed)
+        judged = Judged(simulation, protocol.task)
         trace = run(
             controller,
             simulation,
             protocol.seconds,
+            plant=judged,
             axis=protocol.task.axis,
             observers=observers,
             drop_distance=protocol.task.drop_distance,
             progress=progress,
         )
         scene = simulation.sim.groups[0].scene
-    return Rollout(trace, scene, Evaluation.of(trace, scene, protocol))
+    return Rollout(trace, scene, Evaluation.of(trace, scene, protocol, judged), judged.wanted)
 
 
 def evaluate(

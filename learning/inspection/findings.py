@@ -203,7 +203,7 @@ def inspect(
     """
     if protocol is None:
         protocol = subject.protocol(episodes=16)
-    rule = rule if rule is not None else DropRule.of(protocol.task)
+    rule = rule if rule is not None else DropRule.of(protocol.task.turning)
     tell = progress if progress is not None else (lambda what, share: None)
     critic, *remarks = open_critic(subject)
     training = None

@@ -132,7 +132,7 @@ def roll_out(
     if critic is not None and isinstance(acting, Policy):
         changes = [acting.action.from_change(change) for change in asked.values()]
         actions = [one.reshape(-1, d) for one in (trace.diagnostics["action"], *changes)]
-        judged = critic.judge(states_of(trace), actions)
+        judged = critic.judge(states_of(trace, found.wanted), actions)
         valued = Valued(*(part.reshape(*trace.held[:-1].shape, -1) for part in judged))
     return Rollouts(
         scene=found.scene,
@@ -159,8 +159,8 @@ def _sum_of_last(actions: Floats, steps: int) -> Floats:
     return out
 
 
-def states_of(trace: Trace) -> GraspState:
-    """The states in which the controller was asked, as one batch ``(T * N,)``."""
+def states_of(trace: Trace, wanted: Mapping[str, Floats]) -> GraspState:
+    """The states in which the controller was asked, with what was wanted then, ``(T * N,)``."""
 
     def flat(values: np.ndarray, trailing: int = 1) -> np.ndarray:
         return values[:-1].reshape(-1, *values.shape[values.ndim - trailing :])
@@ -174,4 +174,5 @@ def states_of(trace: Trace) -> GraspState:
         contact_force=flat(trace.contact_force),
         object_position=flat(trace.object_position),
         object_quaternion=flat(trace.object_quaternion),
+        **{name: flat(values) for name, values in wanted.items()},
     )

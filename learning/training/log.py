@@ -21,6 +21,7 @@ COLUMNS = {
     "return": "mean return of these episodes, sums of rewards [rad/s]",
     "length": "mean length of them [control steps]",
     "rotation": "mean rotation of them [rad]",
+    "goals": "mean number of goals reached in them, where the task has goals",
     "dropped": "share of them that ended with a drop",
     "diverged": "share of them whose simulation broke down",
     "reward": "mean reward of a step since the row before [rad/s]",
@@ -85,6 +86,8 @@ class Tally:
         if not len(ended):
             return
         self.sums["episodes"] += len(ended)
+        if "goals" in info:
+            self.sums["goals"] = self.sums.get("goals", 0.0) + float(info["goals"][ended].sum())
         for name, key in (
             ("return", "episode_return"),
             ("length", "episode_length"),
@@ -103,7 +106,8 @@ class Tally:
         if episodes:
             found |= {
                 name: sums[name] / episodes
-                for name in ("return", "length", "rotation", "dropped", "diverged")
+                for name in ("return", "length", "rotation", "goals", "dropped", "diverged")
+                if name in sums
             }
         if steps:
             found["reward"] = sums["reward"] / steps

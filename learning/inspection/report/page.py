@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from dexctl.report import figures, html
-from dexctl.report.conditions import conditions, units
+from dexctl.report.conditions import conditions, setting_text, units
 from dexctl.report.style import drawing, title_of
 from dexctl.report.words import interval, number, percent, spread
-from dexctl.settings import to_plain
-from learning.envs.turning import TurningConfig
+from dexctl.settings import differing, get
+from learning.envs.tasks import TaskConfig
 from learning.inspection.findings import MARGIN_EVERY, MARGIN_SHOWN, Inspection
 from learning.inspection.grasps import MARGIN_EDGES
 from learning.inspection.onset import DropRule
@@ -64,13 +64,14 @@ def build(found: Inspection, *, command: str, machine: Mapping[str, Any]) -> str
     return html.page(f"{title[0].upper()}{title[1:]}", subtitle, sections)
 
 
-def _task(task: TurningConfig) -> list[tuple[str, str]]:
+def _task(task: TaskConfig) -> list[tuple[str, str]]:
     """The settings of the task that are not as usual, but for the axis."""
-    usual, found = to_plain(TurningConfig()), []
-    for name, value in to_plain(task).items():
-        if name != "axis" and value != usual[name]:
-            unit = units(TurningConfig).get(name, "")
-            found.append((name.replace("_", " "), f"{value:g} {unit}".strip()))
+    found = []
+    for path in differing(task, TaskConfig()):
+        if path != "turning.axis":
+            name, unit = path.rpartition(".")[2], units(TaskConfig).get(path, "")
+            value = setting_text(get(task, path))
+            found.append((name.replace("_", " "), f"{value} {unit}".strip()))
     return found
 
 

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dexctl.rotations import multiply
+from dexctl.exceptions import DexctlError
+from dexctl.rotations import from_rotation_vector, multiply
 from dexctl.settings import from_plain
 from dexctl.sim import SceneConfig, Simulation
 from dexctl.state import GraspState
+from learning.envs import EnvConfig
 from learning.envs.task import Step
-from learning.envs.turning import Motion, TurningConfig, reward, shortest, tilt, twist_angle
+from learning.envs.tasks import TaskConfig
+from learning.envs.turning import (
+    Motion,
+    Turning,
+    TurningConfig,
+    reward,
+    shortest,
+    tilt,
+    twist_angle,
+)
 
 Z = np.array([0.0, 0.0, 1.0])
 ONE = np.array([1.0, 0.0, 0.0, 0.0])
@@ -36,7 +48,7 @@ def test_the_equation_case_by_case() -> None:
     expected = np.array([0.3, 0.5, -0.2, 0.0, 0.0, 0.0, -0.2])
     np.testing.assert_array_equal(reward(motion, TurningConfig()), expected)
 
-    def less(**costs: float) -> np.ndarray:
+    def less(**costs: Any) -> np.ndarray:
         return expected - reward(motion, TurningConfig(**costs))
 
     assert less(drop_cost=5.0) == pytest.approx([0, 5, 0, 5, 0, 0, 0])
@@ -59,7 +71,8 @@ def test_links_that_touch_end_an_episode_where_that_is_asked_for() -> None:
             diverged=np.array([False, False, True]),
         )
         for asked in (False, True):
-            task = TurningConfig(end_on_links=asked, drop_cost=2.0).build(simulation)
+            turning = TurningConfig(end_on_links=asked, drop_cost=2.0)
+            task = TaskConfig(turning=turning).build(simulation)
             found = task.judge(step)
             assert found.dropped.tolist() == [False, asked, False]
             assert found.reward.tolist() == [0.0, -2.0 * asked, 0.0]
@@ -95,7 +108,8 @@ def test_tilting_alone_is_no_rotation(
 def test_rotation_is_unwrapped_over_many_turns() -> None:
     config = from_plain(SceneConfig, {"object": "cylinder", "threads": 1})
     with Simulation(config, 2) as simulation:
-        task, state = TurningConfig().build(simulation), simulation.state
+        task, state = TaskConfig().build(simulation), simulation.state
+    assert isinstance(task, Turning)
     start = about(Z, 0.4)
 
     def at(*quaternions: np.ndarray) -> GraspState:
@@ -113,6 +127,58 @@ def test_rotation_is_unwrapped_over_many_turns() -> None:
     np.testing.assert_allclose(found.info["rotation"], [26.0, -26.0])
     task.begin(np.array([True, False]), at(start, start))
     np.testing.assert_allclose(task.rotation, [0.0, -26.0])
+
+
+def test_commands_change_the_axis() -> None:
+    """Speed, tilt and rotation are about the axis commanded now; the policy sees it."""
+    scene = from_plain(SceneConfig, {"object": "cylinder", "threads": 1})
+    names = ("x", "-z", "any")
+    turning = TurningConfig(commands=names, command_seconds=0.2, command_speed_range=(0.1, 0.3))
+    with Simulation(scene, 300) as simulation:
+        task, state = TaskConfig(turning=turning).build(simulation), simulation.state
+        assert isinstance(task, Turning)
+        everybody, nobody = np.ones(300, bool), np.zeros(300, bool)
+        task.begin(everybody, state)
+        told = task.with_goal(state).goal_angular_velocity
+        assert told is not None
+        np.testing.assert_allclose(np.linalg.norm(told, axis=1), task.speed)
+        assert 0.1 <= task.speed.min() < 0.12 and 0.28 < task.speed.max() <= 0.3
+        share = [(told / task.speed[:, None] @ axis > 1 - 1e-9).mean() for axis in ([1, 0, 0], -Z)]
+        np.testing.assert_allclose(share, 1 / 3, atol=0.1)
+        assert state.object_quaternion is not None
+        assert state.object_position is not None
+        now = state.object_quaternion
+        for _ in range(4):  # until the next command: 1 rad/s about the axis, worth the speed wanted
+            now = multiply(from_rotation_vector(0.05 * task.axis), now)
+            step = Step(
+                replace(state, object_quaternion=now, in_contact=np.ones((300, 5), bool)),
+                task.axis.copy(), everybody, state.object_position, nobody,
+            )  # fmt: skip
+            before = task.axis.copy(), task.speed.copy()
+            found = task.judge(step)
+            np.testing.assert_allclose(found.reward, before[1])
+            np.testing.assert_allclose(found.info["speed"], 1.0)
+            np.testing.assert_allclose(found.info["tilt"], 0.0, atol=1e-6)
+        np.testing.assert_allclose(found.info["rotation"], 0.2)
+        assert (task.axis != before[0]).any(axis=1).mean() > 0.5  # new ones are drawn
+        found = task.judge(step._replace(angular_velocity=np.zeros((300, 3))))
+        # from where the object was then: its tilt is gone, its rotation is kept
+        np.testing.assert_allclose(found.info["rotation"], 0.2, atol=1e-9)
+        np.testing.assert_allclose(found.info["tilt"], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"commands": ("up",)}, "command 'up'"),
+        ({"commands": ("x",)}, "does not tell what is wanted; expected goal_angular_velocity"),
+        ({"command_speed_range": (0.5, 0.1)}, r"command_speed_range is \(0.5, 0.1\)"),
+        ({"command_seconds": 0.0}, "command_seconds is 0.0"),
+    ],
+)
+def test_bad_commands(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(DexctlError, match=message):
+        from_plain(EnvConfig, changes)
 
 
 def test_speed_is_measured_at_control_rate() -> None:

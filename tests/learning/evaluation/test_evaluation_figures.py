@@ -20,6 +20,7 @@ from learning.envs import EnvConfig, make_vector
 from learning.evaluation import Evaluation, Protocol, evaluate, open_subject, rollout
 from learning.evaluation.figures import drift_of
 from learning.evaluation.files import write_episodes
+from learning.evaluation.judged import Goals
 from learning.evaluation.robustness import LEVELS, Disturbance, disturbance, protocols, robustness
 
 SHORT = changed(Protocol(), {"episodes": 4, "seconds": 1.0, "threads": 1, "object": "cylinder"})
@@ -37,6 +38,10 @@ def made(rotation: list[float], held: list[float], dropped: list[bool]) -> Evalu
         time_near=np.minimum(held, 20.0),
         diverged=np.zeros(count, bool),
         returns=np.zeros(count),
+        goals_reached=np.array([3, 0, 1, 0])[:count],
+        goals_missed=np.array([0, 2, 1, 0])[:count],
+        goals_in_a_row=np.array([3, 0, 1, 0])[:count],
+        first_goal_time=np.array([4.0, np.inf, 6.0, np.inf])[:count],
         fingertips_only=np.arange(count) / (count - 1.0),
         drift=np.arange(count) / 100.0,
         moments=np.zeros(0),
@@ -92,9 +97,23 @@ def test_half_the_drop_distance_is_the_stricter_rule() -> None:
         settled=SimpleNamespace(qpos=np.array([0.0, 0, 0, 1, 0, 0, 0])),
         object_qpos=slice(0, 7),
     )
-    found = Evaluation.of(trace, scene, Protocol(episodes=2))
+    none = np.zeros(2, int)
+    goals = Goals(reached=none, missed=none, in_a_row=none, first_time=np.full(2, np.inf))
+    judged: Any = SimpleNamespace(returns=lambda trace: np.zeros(2), goals=lambda trace: goals)
+    found = Evaluation.of(trace, scene, Protocol(episodes=2), judged)
     assert found.strayed.tolist() == [True, False]
     assert found.time_near.tolist() == [1.0, 4.0]
+
+
+def test_figures_of_goals_by_hand() -> None:
+    found = made([1.0, 7.0, 3.0, 0.0], [10.0, 60.0, 60.0, 0.0], [True, False, False, True])
+    assert "share_goals_reached" not in found.figures()
+    figures = replace(found, protocol=changed(found.protocol, {"goals": "cube"})).figures()
+    assert figures["share_first_goal_reached"].value == 0.5
+    # 3 of 4, the last being dropped; 0 of 2; 1 of 2; 0 of 1, dropped
+    assert figures["share_goals_reached"].value == pytest.approx((0.75 + 0.0 + 0.5 + 0.0) / 4)
+    assert figures["first_goal_median_s"].value == 18.0  # of 4, 6, 30 and 30
+    assert figures["goals_in_a_row_median"].value == 0.5
 
 
 def test_drift_is_along_gravity_and_while_it_is_held() -> None:
@@ -118,6 +137,7 @@ def test_drift_is_along_gravity_and_while_it_is_held() -> None:
         {"max_reward": 0.1},
         {"max_tilt": 0.01},
         {"min_fingertips": 5},
+        {"commands": ("x", "any"), "command_seconds": 0.3},
         {"substeps": 5, "axis": "-x", "gravity": "down", "object_mass": 0.05, "seed": 3},
     ],
 )
@@ -125,7 +145,13 @@ def test_rotation_and_return_are_the_environments(settings: dict[str, Any]) -> N
     subject = open_subject("igm")
     protocol = changed(SHORT, settings)
     found = evaluate(subject, protocol)
-    config = EnvConfig(scene=protocol.scene, task=protocol.task, max_speed=20.0, max_lead=1.0)
+    config = EnvConfig(
+        scene=protocol.scene,
+        task=protocol.task,
+        max_speed=20.0,
+        max_lead=1.0,
+        parts=("q", "goal_angular_velocity"),
+    )
     envs = make_vector(config, 4)
     envs.reset(seed=protocol.seed)
     igm = subject.acting(protocol)
@@ -139,6 +165,30 @@ def test_rotation_and_return_are_the_environments(settings: dict[str, Any]) -> N
     np.testing.assert_array_equal(found.rotations[-1], found.rotation)
     np.testing.assert_array_equal(found.rotations[0], 0.0)
     assert not found.dropped.any()
+
+
+def test_goals_are_the_environments() -> None:
+    """The same goals in the same order, and the same return, in evaluation and in training."""
+    subject = open_subject("igm")
+    asked = {"goals": "yaw", "goal_seconds": 0.3, "goal_angle": 0.6, "success_joint_speed": 9.0}
+    protocol = changed(SHORT, asked)
+    found = rollout(subject, protocol)
+    config = EnvConfig(
+        scene=protocol.scene, task=protocol.task, max_speed=20.0, max_lead=1.0,
+        parts=("q", "goal_rotation"),
+    )  # fmt: skip
+    envs = make_vector(config, 4)
+    envs.reset(seed=protocol.seed)
+    igm = subject.acting(protocol)
+    igm.reset(0)
+    for row in range(20):
+        state = envs.state
+        np.testing.assert_array_equal(found.wanted["goal_quaternion"][row], state.goal_quaternion)
+        _, _, _, _, info = envs.step(envs.change_to_action(igm.act(state)))
+    np.testing.assert_allclose(found.evaluation.returns, info["episode_return"], atol=1e-9)
+    np.testing.assert_array_equal(found.evaluation.goals_reached, info["goals"])
+    assert found.evaluation.goals_missed.any()
+    envs.close()
 
 
 def test_a_nearer_drop_distance_drops_sooner() -> None:

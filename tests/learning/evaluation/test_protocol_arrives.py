@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +18,7 @@ from dexctl.cli.parsing import parse
 from dexctl.settings import changed, get, paths
 from learning.cli.evaluate import Evaluate
 from learning.cli.inspect import Inspect
-from learning.evaluation import Evaluation, Protocol
+from learning.evaluation import Evaluation, Protocol, rollout
 
 WHO = {Evaluate: "policy", Inspect: "subject"}
 OTHERS: dict[str, Any] = {
@@ -29,8 +30,10 @@ OTHERS: dict[str, Any] = {
     "scene.sensing.touch": "binary",
     "scene.sensing.joint_touch.release_force": 0.3,
     "scene.threads": 3,
-    "task.axis": (0.0, -2.0, 1.0),
-    "task.end_on_links": True,
+    "task.goals": "cube",
+    "task.turning.axis": (0.0, -2.0, 1.0),
+    "task.turning.end_on_links": True,
+    "task.turning.commands": ("x", "any"),
 }
 
 
@@ -67,12 +70,14 @@ def used(monkeypatch: pytest.MonkeyPatch, dex5: dexctl.HandModel) -> dict[str, A
     def run(controller: Any, sim: Any, seconds: float, **options: Any) -> None:
         found.update(seconds=seconds, controller=controller, **options)
 
-    def of(trace: Any, scene: Any, protocol: Protocol) -> Evaluation:
+    def of(trace: Any, scene: Any, protocol: Protocol, judged: Any) -> Evaluation:
         found.update(task=protocol.task)
         raise Arrived
 
     monkeypatch.setattr(dexctl.sim, "Simulation", Simulation)
     monkeypatch.setattr(dexctl.sim, "run", run)
+    module = sys.modules[rollout.__module__]
+    monkeypatch.setattr(module, "Judged", lambda simulation, task: None)
     monkeypatch.setattr(Evaluation, "of", of)
     monkeypatch.setattr(hands, "load", lambda name: dex5)
     return found

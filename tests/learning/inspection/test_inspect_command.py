@@ -255,7 +255,7 @@ def test_critics_that_see_more_than_the_policy(tmp_path: Path) -> None:
     critic = Critic(RunFolder(tmp_path / "run"))
     found = roll_out(subject, changed(SHORT, {"seconds": 0.5}), critic=critic)
     assert found.valued is not None and isinstance(subject.controller, Policy)
-    states, own = states_of(found.trace), subject.controller.observation
+    states, own = states_of(found.trace, {}), subject.controller.observation
     other = Observation.from_dict(
         subject.controller.hand, {**own.to_dict(), "parts": ["object_position"]}
     )

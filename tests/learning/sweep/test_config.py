@@ -147,8 +147,10 @@ OTHER = {
     "scene.initial_states": Path("/there/states.npz"),
     "scene.sensing.touch": "binary",
     "scene.threads": 3,
-    "task.axis": "-y",
-    "task.end_on_links": True,
+    "task.goals": "cube",
+    "task.turning.axis": "-y",
+    "task.turning.end_on_links": True,
+    "task.turning.commands": ("x", "any"),
 }
 DISTURBANCES = (
     "joint_noise", "position_noise", "normal_noise", "force_noise", "force_noise_share",
@@ -156,6 +158,8 @@ DISTURBANCES = (
     *(one.name for one in fields(Randomisation)),
 )  # fmt: skip
 """What training has and evaluation has not, unless it says so."""
+TOLD = {"goals": "goal_rotation", "commands": "goal_angular_velocity"}
+"""What a policy must see of them."""
 
 
 def other(path: str) -> Any:
@@ -196,6 +200,8 @@ def test_every_setting_of_the_evaluation_reaches_the_jobs(path: str, tmp_path: P
     given = {
         "methods": ["rl"], "train": {leaf: written}, "evaluation": {"controllers": ["hold"]},
     }  # fmt: skip
+    if leaf in TOLD:
+        given["train"] = {leaf: written, "parts": ["q", TOLD[leaf]]}
     if leaf in DISTURBANCES:
         expected = with_changes(Protocol(), {"threads": 1})
     for protocol in protocols_of(given, tmp_path):
@@ -208,7 +214,9 @@ def test_policies_are_evaluated_in_what_they_were_trained_in() -> None:
     config = parse_sweep(given)
     assert (config.protocol.task.axis, config.protocol.scene.object_size) == ("x", 0.07)
     assert (config.protocol.episodes, config.protocol.seconds, config.compared) == (3, 2.0, ())
-    with pytest.raises(InvalidInput, match="runs are trained with task.axis x and y, and all are"):
+    with pytest.raises(
+        InvalidInput, match="runs are trained with task.turning.axis x and y, and all are"
+    ):
         parse_sweep({**given, "method": {"vge": {"controllers": ["gait"], "axis": "y"},
                                                "rl+bc": {"controllers": ["igm"]}}})  # fmt: skip
 
@@ -352,7 +360,7 @@ def test_what_may_change_in_a_sweep_that_was_begun() -> None:
     assert found(seeds=1) == "the run vge-gait-1 is no longer in it"
     assert found(train__steps=2000) == "runs.rl-7.steps was 1000, is 2000"
     assert found(method__rl__axis="x", evaluation__axis="z") == (
-        "runs.rl-7.env.task.axis was 'z', is 'x'"
+        "runs.rl-7.env.task.turning.axis was 'z', is 'x'"
     )
     assert found(**{"method__rl__sac.gamma": 0.9}) == "runs.rl-7.sac.gamma was 0.99, is 0.9"
     assert found(evaluation__episodes=4) == "evaluation.episodes was 3, is 4"
