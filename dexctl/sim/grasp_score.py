@@ -1,7 +1,8 @@
-"""Grasp score: how well contacts hold, and how far the fingers can carry the object."""
+"""Grasp score: how well contacts hold, with one finger lifted too, and how far fingers can go."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from dexctl.configuration import HandConfiguration
 from dexctl.grasp import epsilon_quality, isotropy
 from dexctl.hand import HandModel
 from dexctl.rotations import cross
-from dexctl.sim.grasp_search import Contacts, GraspSearch
+from dexctl.sim.grasp_search import CLEAR, Contacts, GraspSearch, Placement
 from dexctl.state import Bools, Floats
 
 _EDGES = 6  # of the friction pyramids
@@ -18,14 +19,18 @@ _STEP = 0.05  # of the wanted motion, turn or shift over the lever [rad]
 _FURTHEST = 0.6  # how far it is followed [rad]
 _DAMPING = 1e-5
 _ERROR = 0.15  # of a step, that a finger may fall short of
+_NEEDED = 3  # fingers that hold while one is lifted
 
 # What is enough of each: more does not make a grasp better. Chosen on which of 200 grasps of
-# Allegro and LEAP were held for 10 s; margin, isotropy and stiffness tell the most of it.
+# Allegro and LEAP were held for 10 s (margin, isotropy and stiffness tell the most of it) and
+# which of 100 the coordinated gait turned for 30 s (spare and swing).
 _ENOUGH = {
     "margin": 4.0,
+    "spare": 1.0,
     "isotropy": 0.6,
     "dexterity": 0.05,
     "reach": 0.6,
+    "swing": 0.4,
     "stiffness": 300.0,
     "clearance": 0.008,
 }
@@ -38,6 +43,8 @@ class GraspScore(NamedTuple):
         total: geometric mean of the parts, each over what is enough, and of the balance; 0 to 1.
         margin: weights of the object that the grasp resists in any direction, up to the least
             favourable: Ferrari-Canny epsilon times the grip of all fingers over the weight.
+        spare: the same with any one of the fingers lifted, the one that is missed most; 0 where
+            three hold.
         balance: 1 where normal forces alone leave no wrench, towards 0 where friction has to
             carry as much as they.
         isotropy: least over largest singular value of the grasp map.
@@ -45,6 +52,8 @@ class GraspScore(NamedTuple):
             twist at unit joint speed [m/rad].
         reach: how far the fingers carry the object along the wanted twist and back, before one
             comes to a joint limit or a singularity [rad] (for a shift, over the lever).
+        swing: how far each of them can go about the wanted twist by itself, to either side, with
+            nothing but its fingertip touching [rad]; the least.
         stiffness: least of the object's in the servos' hold, over all directions, torques over the
             lever [N/m]; the weight moves it by no more than the weight over this.
         clearance: distance of palm and links from the object [m].
@@ -53,10 +62,12 @@ class GraspScore(NamedTuple):
 
     total: float
     margin: float
+    spare: float
     balance: float
     isotropy: float
     dexterity: float
     reach: float
+    swing: float
     stiffness: float
     clearance: float
     fingers: int
@@ -91,17 +102,20 @@ def scores(search: GraspSearch, found: Contacts) -> list[GraspScore]:
     hand, lower, upper = search.workspace.hand, search.workspace.lower, search.workspace.upper
     contacts = (found.position, found.normal, found.active, found.centre)
     crew = found.active.sum(axis=-1)
-    epsilon = np.atleast_1d(epsilon_quality(*contacts, search.friction, edges=_EDGES))
+    weights = crew * search.grip / max(search.weight, 1e-9)
     lever = found.position - found.centre[:, None]
     length = np.linalg.norm(lever, axis=-1).sum(axis=-1) / np.maximum(crew, 1)
     motion = _motion(np.asarray(search.twist, float), length)
+    ways = [_sweep(search, found, lower, upper, way) for way in (motion, -motion)]
+    held, clear = ([np.where(found.active, way[i], np.inf) for way in ways] for i in (0, 1))
     parts = {
-        "margin": epsilon * crew * search.grip / max(search.weight, 1e-9),
+        "margin": _epsilon(search, found) * weights,
+        "spare": _spare(search, found) * weights * (1 - 1 / np.maximum(crew, 1)),
         "balance": 1.0 / (1.0 + (found.imbalance / 0.5) ** 2),
         "isotropy": np.atleast_1d(isotropy(*contacts)),
         "dexterity": _dexterity(hand, found, motion),
-        "reach": _reach(hand, found, lower, upper, motion)
-        + _reach(hand, found, lower, upper, -motion),
+        "reach": held[0].min(axis=-1) + held[1].min(axis=-1),
+        "swing": np.minimum(*clear).min(axis=-1),
         "stiffness": _stiffness(search, found, length),
         "clearance": found.clearance,
     }
@@ -115,6 +129,23 @@ def scores(search: GraspSearch, found: Contacts) -> list[GraspScore]:
         )
         for i in range(len(found))
     ]
+
+
+def _epsilon(search: GraspSearch, found: Contacts) -> Floats:
+    contacts = (found.position, found.normal, found.active, found.centre)
+    return np.atleast_1d(epsilon_quality(*contacts, search.friction, edges=_EDGES))
+
+
+def _spare(search: GraspSearch, found: Contacts) -> Floats:
+    """Epsilon ``(n,)`` without the finger whose absence leaves the least."""
+    least = np.full(len(found), np.inf)
+    for finger in range(found.active.shape[1]):
+        others = found.active.copy()
+        others[:, finger] = False
+        left = np.flatnonzero(found.active[:, finger] & (others.sum(axis=-1) >= _NEEDED))
+        without = replace(found.take(left), active=others[left])
+        least[left] = np.minimum(least[left], _epsilon(search, without)) if len(left) else 0.0
+    return np.where(np.isfinite(least), least, 0.0)
 
 
 def _motion(twist: Floats, length: Floats) -> Floats:
@@ -167,32 +198,61 @@ def _stiffness(search: GraspSearch, found: Contacts, length: Floats) -> Floats:
     return np.asarray(np.linalg.eigvalsh(total)[:, 0], float)
 
 
-def _reach(
-    hand: HandModel, found: Contacts, lower: Floats, upper: Floats, motion: Floats
-) -> Floats:
-    """How far along ``motion`` all fingers that hold can go, ``(n,)`` [rad].
+class _Sweep(NamedTuple):
+    """How far each finger follows its contact ``(n, m)`` [rad]."""
 
-    The fingers follow their contact points by damped least squares, step by step, until one of
-    them is at a joint limit or falls short of its step.
+    held: Floats
+    clear: Floats
+
+
+def _sweep(
+    search: GraspSearch, found: Contacts, lower: Floats, upper: Floats, motion: Floats
+) -> _Sweep:
+    """How far along ``motion`` each finger can go: by its joints, and with its links clear besides.
+
+    The fingers follow their contact points, each by itself, by damped least squares, step by step,
+    until they are at a joint limit or fall short of their step.
     """
+    hand = search.workspace.hand
     q, points = found.q.copy(), found.position.copy()
     centre = found.centre[:, None].copy()
-    reached = np.zeros(len(q))
-    going: Bools = np.ones(len(q), bool)
-    used = (found.active[:, :, None] & hand.moves).any(axis=1)
-    for _ in range(round(_FURTHEST / _STEP)):
+    going = found.active.copy()
+    clear = going.copy()
+    held, swung = np.zeros(going.shape), np.zeros(going.shape)
+    for k in range(1, round(_FURTHEST / _STEP) + 1):
         step = _STEP * _velocities(motion, points - centre)
         jacobian = _jacobians(hand, hand.configuration(q), points)
         gram = jacobian @ jacobian.swapaxes(-1, -2) + _DAMPING * np.eye(3)
         change = jacobian.swapaxes(-1, -2) @ np.linalg.solve(gram, step[..., None])
         short = np.linalg.norm((jacobian @ change)[..., 0] - step, axis=-1)
-        fails = (short > _ERROR * np.linalg.norm(step, axis=-1) + 1e-5) & found.active
+        going &= short <= _ERROR * np.linalg.norm(step, axis=-1) + 1e-5
+        used = (going[:, :, None] & hand.moves).any(axis=1)
         q = q + np.einsum("nmk,mkd->nd", change[..., 0], hand.finger_joint_map) * used
         stuck = ((q < lower) | (q > upper)) & used
-        going &= ~fails.any(axis=-1) & ~stuck.any(axis=-1)
+        going &= ~(stuck[:, None] & hand.moves).any(axis=-1)
+        clear &= going
         if not going.any():
             break
-        reached += _STEP * going
         points = points + step
         centre = centre + _STEP * motion[:, None, :3]
-    return reached
+        clear &= _links_clear(search, found, q, centre[:, 0], k * _STEP * motion)
+        held += _STEP * going
+        swung += _STEP * clear
+    return _Sweep(held, swung)
+
+
+def _links_clear(
+    search: GraspSearch, found: Contacts, q: Floats, centre: Floats, moved: Floats
+) -> Bools:
+    """Whether each finger's links keep clear of the object, which has turned along, ``(n, m)``."""
+    balls = search.workspace.balls
+    where = balls.centres(q)
+    out = np.ones(found.active.shape, bool)
+    for i, place in enumerate(found.placement):
+        turned = Placement(centre[i], place.size, place.yaw + float(moved[i, 5]))
+        shape = search.shape.scaled(place.size)
+        gap = shape.bound((where[i] - turned.centre) @ turned.turn) - balls.radius
+        for finger in range(out.shape[1]):
+            links = (balls.finger == finger) & ~balls.tip
+            out[i, finger] = gap[links].min(initial=np.inf) > CLEAR
+    return out

@@ -4,8 +4,8 @@
    surround them; palm and links keep clear.
 2. In each, every finger that reaches the surface takes one of the postures that touch it; fingers
    that do not reach are left out, three at least are in. Combinations are drawn.
-3. Combinations are ranked by how well their normal forces balance (the thesis's stability QP) and
-   the surroundings of the best are searched again.
+3. Combinations are ranked by how well their normal forces balance (the thesis's stability QP), with
+   all fingers and with any one of them lifted, and the surroundings of the best are searched again.
 4. The best get their full score (`dexctl.sim.grasp_score`).
 """
 
@@ -26,6 +26,7 @@ _PALM_CLEAR = 0.003  # [m]
 _REGULARISER = 1e-3
 _LEAST_FORCE = 0.3  # what every finger presses with, as a share of the strongest
 _SIZES = (0.3, 0.65)  # widths that suit a hand, over the length of its fingers
+_LEAST_LIFTED = 0.1  # the same while one is lifted
 _STARTS = 12  # best places whose surroundings are searched
 
 
@@ -56,6 +57,8 @@ class Contacts:
         clearance: of palm and links from the object ``(n,)`` [m].
         ease: worst finger's distance from joint limits and singularity, ``(n,)``, 0 to 1.
         imbalance: what the normal forces leave of a wrench, over the strongest of them, ``(n,)``.
+        lifted: the same with one of the fingers lifted, the one that is missed most, ``(n,)``; 1
+            where three hold.
     """
 
     placement: tuple[Placement, ...]
@@ -66,6 +69,7 @@ class Contacts:
     clearance: Floats
     ease: Floats
     imbalance: Floats
+    lifted: Floats
 
     def __len__(self) -> int:
         return len(self.placement)
@@ -87,7 +91,7 @@ class Contacts:
         return Contacts(tuple(one for part in parts for one in part.placement), **arrays)
 
 
-_ARRAYS = ("q", "active", "position", "normal", "clearance", "ease", "imbalance")
+_ARRAYS = ("q", "active", "position", "normal", "clearance", "ease", "imbalance", "lifted")
 
 
 @dataclass(frozen=True)
@@ -181,6 +185,7 @@ class GraspSearch:
             min_force=_LEAST_FORCE,
         )
         found.imbalance[:] = forces.residual
+        found.lifted[:] = _lifted(found)
         return found
 
     def _at(self, place: Placement, rng: np.random.Generator) -> Contacts | None:
@@ -219,7 +224,7 @@ class GraspSearch:
             return None
         return Contacts(
             (place,) * len(rows), q[rows], active[rows], position[rows], normal[rows],
-            clearance[rows], ease[rows], np.zeros(len(rows)),
+            clearance[rows], ease[rows], np.zeros(len(rows)), np.ones(len(rows)),
         )  # fmt: skip
 
     def _ease(self, finger: int, rows: np.ndarray) -> Floats:
@@ -243,12 +248,32 @@ def _apart(position: Floats, active: Bools) -> Floats:
     return np.where(other, away, np.inf).min(axis=(-1, -2))
 
 
+def _lifted(found: Contacts) -> Floats:
+    """See `Contacts.lifted`."""
+    worst = np.where(found.active.sum(axis=-1) > _LEAST_FINGERS, 0.0, 1.0)
+    for finger in range(found.active.shape[1]):
+        others = found.active.copy()
+        others[:, finger] = False
+        rows = np.flatnonzero(found.active[:, finger] & (worst < 1.0))
+        left = stability_forces(
+            found.position[rows],
+            found.normal[rows],
+            others[rows],
+            found.centre[rows],
+            regulariser=_REGULARISER,
+            min_force=_LEAST_LIFTED,
+        )
+        worst[rows] = np.maximum(worst[rows], left.residual)
+    return np.minimum(worst, 1.0)
+
+
 def merit(found: Contacts) -> Floats:
     """What combinations are sorted by before they get their full score, ``(n,)``."""
     room = np.minimum(found.clearance / 0.006, 1.0)
     balance = 1.0 / (1.0 + (found.imbalance / 0.3) ** 2)
     crew = found.active.sum(axis=-1) / found.active.shape[1]
-    return balance * np.sqrt(found.ease) * (0.3 + 0.7 * room) * crew
+    spare = 1.0 / (1.0 + (found.lifted / 0.6) ** 2)
+    return balance * np.sqrt(found.ease) * (0.3 + 0.7 * room) * crew * spare
 
 
 def _distinct(found: Contacts, count: int, each: int) -> np.ndarray:

@@ -37,6 +37,7 @@ _DRIFT = 0.01  # of the object in that time, at most [m]
 _OPENING = 0.03  # the open fingertips are so far from the object [m]
 _FAR = (0.0, 0.0, 10.0)  # where the object is out of the way [m]
 PALMS = ("up", "down")
+_REACH = (0.15, 0.45)  # least and most that is written down of how far a finger can swing [rad]
 
 
 class SuggestedGrasp(NamedTuple):
@@ -99,11 +100,13 @@ class SuggestedGrasp(NamedTuple):
 
         x, y, z = np.round(self.centre, 4).tolist()
         shape = None if self.object == MESH else self.object
-        return replace(
-            config,
-            postures=PostureConfig(open=named(self.open_q), grasp=named(self.grasp_q)),
-            object=HeldObject(centre=(x, y, z), size=round(self.size, 4) or None, shape=shape),
+        least, most = _REACH
+        reach = None if self.score.swing > most else round(max(self.score.swing, least), 2)
+        held = HeldObject(
+            centre=(x, y, z), size=round(self.size, 4) or None, shape=shape, reach=reach
         )
+        postures = PostureConfig(open=named(self.open_q), grasp=named(self.grasp_q))
+        return replace(config, postures=postures, object=held)
 
 
 def suggest(

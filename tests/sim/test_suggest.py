@@ -11,7 +11,7 @@ import pytest
 
 from dexctl import HandModel
 from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
-from dexctl.grasp import is_force_closure
+from dexctl.grasp import epsilon_quality, is_force_closure
 from dexctl.sim import Scene
 from dexctl.sim.grasp_score import ranked, scores
 from dexctl.sim.grasp_search import Contacts, GraspSearch, Placement
@@ -81,11 +81,15 @@ def test_the_same_seed_finds_the_same(bare: HandModel) -> None:
     np.testing.assert_array_equal(first.q, second.q)
 
 
-def test_reach_is_that_of_the_joint_limits(tmp_path: Path) -> None:
-    """One hinge under each of three fingers: the turn of the object is the turn of the hinges."""
+@pytest.mark.parametrize(("link", "swing"), [(0.09, 0.2), (0.06, 0.0)])
+def test_reach_is_that_of_the_joint_limits(tmp_path: Path, link: float, swing: float) -> None:
+    """One hinge under each of three fingers: the turn of the object is the turn of the hinges.
+
+    The link that turns with the finger is ``link`` from the object's centre; nearer, it touches.
+    """
     tips = "".join(
         f'<body euler="0 0 {2 * np.pi * k / 3}"><joint name="j{k}" axis="0 0 1" '
-        f'range="-0.32 0.22"/><geom type="sphere" size="0.01" pos="0.06 0 0"/>'
+        f'range="-0.32 0.22"/><geom type="sphere" size="0.01" pos="{link} 0 0"/>'
         f'<body name="arm{k}"><joint name="r{k}" type="slide" axis="1 0 0" range="-0.01 0.01"/>'
         f'<joint name="z{k}" type="slide" axis="0 0 1" range="-0.01 0.01"/>'
         f'<body name="t{k}" pos="0.06 0 0"><geom type="sphere" size="0.01"/></body></body></body>'
@@ -110,9 +114,12 @@ def test_reach_is_that_of_the_joint_limits(tmp_path: Path) -> None:
         clearance=np.array([0.02]),
         ease=np.ones(1),
         imbalance=np.zeros(1),
+        lifted=np.ones(1),
     )
     (score,) = scores(search, one)
     assert score.reach == pytest.approx(0.3 + 0.2, abs=0.051)  # in steps of 0.05
+    assert score.swing == pytest.approx(swing, abs=0.051)
+    assert score.spare == 0.0  # with three fingers none can be lifted
     assert score.dexterity == pytest.approx(0.05, rel=1e-3)  # the hinge's lever
     assert score.balance == pytest.approx(1.0)
     # a third of the grip each, in the plane; epsilon of three contacts with friction 1, hexagons
@@ -120,6 +127,43 @@ def test_reach_is_that_of_the_joint_limits(tmp_path: Path) -> None:
     assert score.fingers == 3
     # softest about an axis in the plane: two of three slides of 3 N/m, by half their lever squared
     assert score.stiffness == pytest.approx(4.5, rel=1e-3)
+
+
+@pytest.mark.parametrize(("at", "holds"), [((0, 90, 180, 270), True), ((0, 40, 80, 180), False)])
+def test_spare_is_the_margin_of_the_fingers_that_are_left(
+    bare: HandModel, at: tuple[float, ...], holds: bool
+) -> None:
+    """Four contacts round an axis, of which three that stand all on one side hold nothing."""
+    search = search_of(bare, "cylinder", grip=2.0, weight=1.0, friction=0.7)
+    angle = np.deg2rad(at)
+    outward = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    centre = np.array([0.0, 0.0, 0.5])
+    found = Contacts(
+        placement=(Placement(centre, 0.06, 0.0),),
+        q=np.zeros((1, bare.nq)),
+        active=np.ones((1, 4), bool),
+        position=centre + 0.03 * outward[None],
+        normal=-outward[None],
+        clearance=np.array([0.02]),
+        ease=np.ones(1),
+        imbalance=np.zeros(1),
+        lifted=np.zeros(1),
+    )
+    (score,) = scores(search, found)
+    assert score.margin > 0
+    left = [
+        epsilon_quality(found.position[0], found.normal[0], np.arange(4) != f, centre, 0.7, edges=6)
+        for f in range(4)
+    ]
+    assert score.spare == pytest.approx(min(left) * 3 * 2.0)  # three press with 2 N on 1 N
+    assert (score.spare > 0.1) == holds
+
+
+def test_the_search_looks_for_places_where_one_finger_can_be_lifted(bare: HandModel) -> None:
+    found = search_of(bare, "sphere").run(60, 12)
+    assert found is not None
+    assert (found.lifted[~(found.active.sum(axis=-1) > 3)] == 1.0).all()
+    assert ((found.lifted >= 0) & (found.lifted <= 1)).all() and found.lifted.min() < 0.8
 
 
 def test_a_hand_of_which_nothing_is_known_holds(bare: HandModel) -> None:
