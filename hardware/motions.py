@@ -66,6 +66,56 @@ class Sine(_Motion):
 
 
 @final
+class Chirp(_Motion):
+    """Every joint to and fro, faster and faster at one speed: from which it can be identified.
+
+    One joint of each finger moves at a time, the nearest to the palm first; after the last one all
+    stand still. The swing is ``amplitude`` until the speed would be exceeded, and smaller then.
+
+    Args:
+        hand: the hand.
+        control_period: [s].
+        amplitude: largest swing [rad].
+        speed: largest speed of a set-point [rad/s].
+        seconds: of each joint [s].
+        frequencies: at its start and end [Hz].
+    """
+
+    def __init__(
+        self,
+        hand: HandModel,
+        *,
+        control_period: float = 0.02,
+        amplitude: float = 0.1,
+        speed: float = 0.4,
+        seconds: float = 8.0,
+        frequencies: tuple[float, float] = (0.3, 5.0),
+    ) -> None:
+        super().__init__(hand, control_period=control_period)
+        self.amplitude, self.speed, self.each = amplitude, speed, seconds
+        self.lowest, self.highest = frequencies
+        check_numbers(self, positive=("amplitude", "speed", "each", "lowest", "highest"))
+
+    @property
+    def seconds(self) -> float:
+        """How long the motion takes [s]."""
+        return self.each * self.hand.finger_joints.shape[1]
+
+    def offset(self, time: float) -> Floats:
+        out = np.zeros(self.hand.nq)
+        turn = int(time / self.each)
+        if turn >= self.hand.finger_joints.shape[1]:
+            return out
+        t, growth = time - turn * self.each, np.log(self.highest / self.lowest)
+        frequency = self.lowest * np.exp(growth * t / self.each)
+        phase = 2 * np.pi * (frequency - self.lowest) * self.each / growth
+        own = turn < self.hand.moves.sum(axis=1)  # a shorter finger repeats a joint of another
+        swing = min(self.amplitude, self.speed / (2 * np.pi * frequency))
+        out[self.hand.finger_joints[own, turn]] = swing * np.sin(phase)
+        return out
+
+
+@final
 class StepAndChirp(_Motion):
     """One joint: a step, and 2 s later a sine of rising frequency.
 

@@ -72,6 +72,10 @@ def _gear_friction(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
     model.dof_frictionloss[scene.qvel_columns] = row["gear_friction"]
 
 
+def _armature(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
+    model.dof_armature[scene.qvel_columns] = row["armature"]
+
+
 def _gravity(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
     model.opt.gravity[:] = row["gravity"]
 
@@ -103,6 +107,7 @@ PARAMETERS: dict[str, Parameter] = {
     "kv": Parameter(_servo_damping, per="joint"),
     "damping": Parameter(_damping, per="joint"),
     "gear_friction": Parameter(_gear_friction, per="joint"),
+    "armature": Parameter(_armature, per="joint", constants=True),
     "gravity": Parameter(_gravity, per="axis", least=-np.inf),
 }
 

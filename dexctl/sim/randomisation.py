@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dexctl.sim.scene import Scene
 
 _MAY_BE_ZERO = (
-    "gear_friction_range", "action_latency_range", "sensor_latency_range", "noise_range",
+    "gear_friction_range", "armature_range", "action_latency_range", "sensor_latency_range", "noise_range",
     "touch_threshold_range", "touch_dropout_range", "push_range", "gravity_turning_range",
 )  # fmt: skip
 
@@ -52,6 +52,8 @@ class Randomisation:
     """Damping of each servo and joint, as a share of its own."""
     gear_friction_range: Range | None = None
     """Dry friction of each joint [N m]."""
+    armature_range: Range | None = None
+    """Inertia of each joint's motor as the joint feels it [kg m^2]."""
     speed_range: Range | None = None
     """Fastest set-point [rad/s]."""
     torque_range: Range | None = None
@@ -134,6 +136,7 @@ class Drawn(NamedTuple):
         touch_threshold: ``(N, m)`` [N].
         touch_dropout: ``(N,)``.
         push_force: ``(N,)`` [N].
+        armature: a parameter of the simulator, as the first ones.
     """
 
     friction: Floats
@@ -154,6 +157,7 @@ class Drawn(NamedTuple):
     touch_threshold: Floats
     touch_dropout: Floats
     push_force: Floats
+    armature: Floats
 
 
 # which setting draws what, for all that is one number from one range
@@ -165,6 +169,7 @@ _RANGES = {
     "kv": "damping_range",
     "damping": "damping_range",
     "gear_friction": "gear_friction_range",
+    "armature": "armature_range",
     "speed_limit": "speed_range",
     "torque_limit": "torque_range",
     "action_latency": "action_latency_range",
@@ -177,7 +182,7 @@ _RANGES = {
 _SHARES = ("kp", "kv", "damping")  # of what they are in the scene
 PHYSICAL = (
     "friction", "object_mass", "object_size", "centre_of_mass", "kp", "kv", "damping",
-    "gear_friction", "gravity",
+    "gear_friction", "armature", "gravity",
 )  # fmt: skip
 """What of `Drawn` the simulator's parameters are."""
 
@@ -218,6 +223,7 @@ def nominal(
         touch_threshold=np.full((count, hand.n_fingers), sensing.touch_threshold),
         touch_dropout=np.zeros(count),
         push_force=one(push.push_force),
+        armature=each(lambda scene: scene.model.dof_armature[scene.qvel_columns]),
     )
 
 

@@ -55,15 +55,9 @@ def proposed_gains(
         hand: its kinematics.
         stiffness, damping: what is known already ``(d,)``, NaN elsewhere.
     """
-    data = mujoco.MjData(model)
     q = hand.posture({})
-    expand = _expansion(model, hand)
-    for name in (*hand.joint_names, *hand.couplings):
-        data.qpos[model.joint(name).qposadr[0]] = _position(hand, name, q)
-    mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    inertia = np.diag(expand.T @ full @ expand).copy()
+    data, expand = _posed(model, hand, q), _expansion(model, hand)
+    inertia = _inertia(model, data, expand)
     weight = np.zeros((3, hand.nq))
     bare = model.__copy__()
     for axis in range(3):
@@ -84,6 +78,34 @@ def proposed_gains(
     own = np.where(own > SLUGGISH * k, 0.0, own)  # which `add_servos` leaves out
     critical = np.maximum(2 * np.sqrt(k * (inertia + armature)) - own, 0.0)
     return ServoGains(k, np.where(np.isnan(damping), critical, damping), armature)
+
+
+def link_inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
+    """What each joint feels of the links alone, without armature, ``(d,)`` [kg m^2].
+
+    Args:
+        model: the hand, with or without an object.
+        hand: its kinematics.
+        q: joints, ``(d,)`` [rad].
+    """
+    bare = model.__copy__()
+    bare.dof_armature[:] = 0.0
+    return _inertia(bare, _posed(bare, hand, q), _expansion(bare, hand))
+
+
+def _posed(model: mujoco.MjModel, hand: HandModel, q: Floats) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    for name in (*hand.joint_names, *hand.couplings):
+        data.qpos[model.joint(name).qposadr[0]] = _position(hand, name, q)
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def _inertia(model: mujoco.MjModel, data: mujoco.MjData, expand: Floats) -> Floats:
+    """The mass matrix' diagonal for the d joints, armature included."""
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return np.diag(expand.T @ full @ expand).copy()
 
 
 def _position(hand: HandModel, joint: str, q: Floats) -> float:
