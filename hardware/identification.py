@@ -4,9 +4,9 @@ A joint is taken for a mass behind a position servo,
 
     I a = k (r - q + o) - c v - f clip(v / s, -1, 1),
 
-whose dry friction grows with speed up to s and stays, and whose reference r follows the set-points ``latency`` later, as fast as the servo's profile lets it.
-How q follows the set-points tells k, c and f for each unit of I; the torque that the servo measures
-tells k itself.
+whose dry friction grows with the speed up to s and then stays, and whose reference r follows the
+set-points ``latency`` later, as fast as the servo's profile lets it. The torque that the servo
+measures tells k and the latency; how q follows the set-points tells the rest.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ LONGEST = 0.3
 """Latency looked for [s]."""
 _LEAST_MOTION = 0.01  # rad that a joint's set-point must have moved for its dynamics to show
 _TAIL = 0.5  # s after the last change of a set-point that still tell something
+_LEAST_TORQUE = 1e-6  # N m
 _EXPLAINED = 0.8  # share of the torque's variance that the servo's law must explain
 # of the search, per joint: log k/I [1/s^2], log c/k [s], log f/k [rad], latency [s], offset [rad],
 # log s [rad/s]
@@ -140,13 +141,14 @@ def fit(
         raise InvalidInput(
             f"no set-point moved by more than {_LEAST_MOTION:g} rad; expected a chirp, or a gait"
         )
-    moving = _moving(time, q_target) & moved & np.isfinite(q) & (np.abs(torque) < torque_limit)
+    moving = _moving(time, q_target) & moved & np.isfinite(q)
+    moving &= ~(np.abs(torque) >= torque_limit)  # what is not measured counts
     samples = _Samples(time, q_target[:, moved], q[:, moved], moving[:, moved], speed_limit)
     laws = _servo_laws(samples, velocity[:, moved], torque[:, moved])
     parameters = _search(samples, laws.latency)
     dynamics = _scaled(samples, parameters, laws, told)
     whole = np.full(q.shape, np.nan)
-    whole[:, moved] = samples.simulate(parameters[None])[0]
+    whole[:, moved] = samples.simulate(parameters[None])[:, 0]
     return Fit(_spread(dynamics, moved), time, q, whole, moving)
 
 
@@ -252,27 +254,26 @@ class _ServoLaws(NamedTuple):
 def _servo_laws(samples: _Samples, velocity: Floats, torque: Floats) -> _ServoLaws:
     """Fit the servos' law to the torque they measured, whatever moved the joints."""
     count = torque.shape[1]
-    laws = _ServoLaws(*np.full((3, count), np.nan))
-    for latencies in (np.arange(0.0, LONGEST, 0.01), np.arange(-0.01, 0.01, 0.001)):
-        near = np.where(np.isnan(laws.latency), 0.0, laws.latency)
-        tried = np.maximum(latencies[:, None] + (near if latencies[0] < 0 else 0.0 * near), 0.0)
-        reference = samples.sampled(samples.references(tried))
+    stiffness, damping, latency = (np.full(count, np.nan) for _ in range(3))
+    for tried in (np.arange(0.0, LONGEST, 0.01), np.arange(-0.01, 0.01, 0.001)):
+        around = np.nan_to_num(latency)  # nothing at first, then what the coarse search found
+        lanes = np.maximum(tried[:, None] + around, 0.0)
+        reference = samples.sampled(samples.references(lanes))
         for j in range(count):
             good = samples.moving[:, j] & np.isfinite(torque[:, j] + velocity[:, j])
             wanted = torque[good, j]
-            if len(wanted) < _FEWEST or wanted.std() < 1e-6:
+            if len(wanted) < _FEWEST or wanted.std() < _LEAST_TORQUE:
                 continue
             best = (1.0 - _EXPLAINED) * wanted.var()
-            for lane, latency in enumerate(tried[:, j]):
+            for lane, late in enumerate(lanes[:, j]):
                 behind = reference[good, lane, j] - samples.q[good, j]
                 columns = np.stack([behind, -velocity[good, j], np.ones(len(behind))], axis=1)
                 law, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
                 left = (wanted - columns @ law).var()
                 if left < best and law[0] > 0:
-                    best = left
-                    laws.stiffness[j], laws.damping[j] = law[0], max(law[1], 0.0)
-                    laws.latency[j] = latency
-    return laws
+                    best, latency[j] = left, late
+                    stiffness[j], damping[j] = law[0], max(law[1], 0.0)
+    return _ServoLaws(stiffness, damping, latency)
 
 
 def _search(samples: _Samples, latency: Floats) -> Floats:
@@ -328,9 +329,7 @@ def _search(samples: _Samples, latency: Floats) -> Floats:
     return here
 
 
-def _scaled(
-    samples: _Samples, parameters: Floats, laws: _ServoLaws, told: float
-) -> JointDynamics:
+def _scaled(samples: _Samples, parameters: Floats, laws: _ServoLaws, told: float) -> JointDynamics:
     """With units: what the measured torque, or else what the servos were told, makes of them."""
     rate, ratio, dead = np.exp(parameters[:, _LAW].T)
     measured = np.isfinite(laws.stiffness)

@@ -81,6 +81,9 @@ class Chirp(_Motion):
         frequencies: at its start and end [Hz].
     """
 
+    FADING = 0.5
+    """Time in which the swing fades at the end of a joint's motion [s]."""
+
     def __init__(
         self,
         hand: HandModel,
@@ -111,6 +114,7 @@ class Chirp(_Motion):
         phase = 2 * np.pi * (frequency - self.lowest) * self.each / growth
         own = turn < self.hand.moves.sum(axis=1)  # a shorter finger repeats a joint of another
         swing = min(self.amplitude, self.speed / (2 * np.pi * frequency))
+        swing *= min(1.0, (self.each - t) / self.FADING)
         out[self.hand.finger_joints[own, turn]] = swing * np.sin(phase)
         return out
 

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from dexctl.sim.scene import Scene
 
 _MAY_BE_ZERO = (
-    "gear_friction_range", "armature_range", "action_latency_range", "sensor_latency_range", "noise_range",
-    "touch_threshold_range", "touch_dropout_range", "push_range", "gravity_turning_range",
+    "gear_friction_range", "armature_range", "action_latency_range", "sensor_latency_range",
+    "noise_range", "touch_threshold_range", "touch_dropout_range", "push_range",
+    "gravity_turning_range",
 )  # fmt: skip
 
 

@@ -160,7 +160,7 @@ class Sensor:
         else:
             self._past = [_merged(begin, now, one) for one in self._past]
         then = self._oldest()
-        age = then["age"] + now["time"] - then["time"]
+        age = then["age"] + (now["time"] - then["time"])
         return replace(seen, **{**then, "time": now["time"], "age": age})
 
     def _oldest(self) -> dict[str, np.ndarray]:

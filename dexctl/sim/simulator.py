@@ -447,7 +447,8 @@ class BatchSimulator:
             parameters: by name. One number for all or ``(N,)``: ``friction`` (sliding, of object
                 and fingertips), ``object_mass`` [kg] (inertia scales with it), ``object_size`` (a
                 factor). Also ``(N, d)``: ``kp`` [N m/rad] and ``kv`` [N m s/rad] of the servos,
-                ``damping`` [N m s/rad] and ``gear_friction`` [N m] of the hand's joints.
+                ``damping`` [N m s/rad], ``gear_friction`` [N m] and ``armature`` [kg m^2] of the
+                hand's joints.
                 ``(N, 3)``: ``gravity`` [m/s^2], ``centre_of_mass`` of the object, from the centre
                 of its shape, in its own frame [m] (its inertia stays as it was).
 

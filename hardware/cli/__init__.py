@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hardware.cli.calibrate import Calibrate
 from hardware.cli.check import Check
+from hardware.cli.identify import Identify
 from hardware.cli.latency import Latency
 from hardware.cli.replay import ReplayLog, Report
 from hardware.cli.run import Run
@@ -13,6 +14,7 @@ COMMANDS = {
     "calibrate": Calibrate,
     "run": Run,
     "latency": Latency,
+    "identify": Identify,
     "replay": ReplayLog,
     "report": Report,
 }

@@ -28,7 +28,7 @@ from hardware.cli.options import HandOptions, Session, busy, flags
 from hardware.figures import figures_of_merit, in_full, in_words
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
-from hardware.motions import Sine
+from hardware.motions import Chirp, Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
 from hardware.scene import AUTO, CLOCK, HOLDING, NOTHING, OF_AN_OBJECT
@@ -37,7 +37,8 @@ from hardware.state_machine import Event, State
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
 _HELD = replace(HOLDING, object=(AUTO,))
 _SETTINGS = tuple(name for name in SceneConfig.__dataclass_fields__ if name not in CLOCK)
-_BLIND = ("hold", "sine")  # controllers that do not go by touch
+_MOTIONS = {"sine": Sine, "chirp": Chirp}  # of an empty hand
+_BLIND = ("hold", *_MOTIONS)  # controllers that do not go by touch
 INTERRUPTED = 130
 LOG, PAGE = "run.mcap", "report.html"
 
@@ -48,13 +49,14 @@ class Run(HandOptions):
 
     The hand first goes to the grasp of the object named, at the speed limit, while somebody (or
     the emulator) holds the object in place; 1 s later the controller starts. --object is the
-    object's name, none, or auto: a cylinder, or none for sine. What a real hand cannot be told,
-    pushes and noise for example, is for --emulate. Ctrl-C holds for 0.2 s
-    and takes the torque off; a second one takes it off at once.
+    object's name, none, or auto: a cylinder, or none for sine and chirp. What a real hand cannot be
+    told, pushes and noise for example, is for --emulate. Ctrl-C holds for 0.2 s and takes the
+    torque off; a second one takes it off at once.
     """
 
     controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER")]
-    """igm, switch, gait, coordinated, hold, sine; a policy's name, file or run; module:function."""
+    """igm, switch, gait, coordinated, hold, sine, chirp; a policy's name, file or run;
+    module:function."""
     seconds: float = 30.0
     """How long the controller runs [s]."""
     rate: float | None = None
@@ -129,7 +131,7 @@ class Run(HandOptions):
             raise InvalidInput(f"--object is {' '.join(self.scene.object)}; expected one object")
         (name,) = self.scene.object
         if name == AUTO:
-            name = NOTHING if self.controller == "sine" else HOLDING.object[0]
+            name = NOTHING if self.controller in _MOTIONS else HOLDING.object[0]
         if name == NOTHING:
             given = [path for path in self._given() if path in OF_AN_OBJECT]
             if given:
@@ -197,7 +199,7 @@ def make_controller(name: str, model: HandModel, rate: float | None = None) -> C
     """The controller ``name``, and with it the rate of the run.
 
     Args:
-        name: what `dexctl.controllers.resolve` takes, or "sine".
+        name: what `dexctl.controllers.resolve` takes, "sine" or "chirp".
         model: the hand.
         rate: [Hz]; None is 50, and for a controller that was made for another rate, that one.
 
@@ -205,8 +207,8 @@ def make_controller(name: str, model: HandModel, rate: float | None = None) -> C
         UnknownName: no such controller.
         InvalidInput: it cannot be made, or not for this rate.
     """
-    if name == "sine":
-        return Sine(model, control_period=PERIOD if rate is None else 1.0 / rate)
+    if name in _MOTIONS:
+        return _MOTIONS[name](model, control_period=PERIOD if rate is None else 1.0 / rate)
     period = _usual_period(name) if rate is None else 1.0 / rate
     made = controllers.resolve(name, model, control_period=period)
     if rate is not None and not np.isclose(made.control_period * rate, 1.0):

@@ -105,9 +105,10 @@ def test_joints_each_with_their_own(cylinder: Scene) -> None:
     sim = BatchSimulator(cylinder, 3, seed=0)
     rng = np.random.default_rng(0)
     kp = cylinder.stiffness * rng.uniform(0.7, 1.3, (3, sim.hand.nq))
-    dry = rng.uniform(0.0, 0.02, (3, sim.hand.nq))
-    sim.set_parameters(mask=[False, True, True], kp=kp, gear_friction=dry)
+    dry, rotor = rng.uniform(0.0, 0.02, (2, 3, sim.hand.nq))
+    sim.set_parameters(mask=[False, True, True], kp=kp, gear_friction=dry, armature=rotor)
     models = sim._parameters.models
+    np.testing.assert_allclose(models[1].dof_armature[cylinder.qvel_columns], rotor[1])
     np.testing.assert_allclose(models[1].actuator_gainprm[cylinder.actuators, 0], kp[1])
     np.testing.assert_allclose(models[2].dof_frictionloss[cylinder.qvel_columns], dry[2])
     np.testing.assert_array_equal(models[0].actuator_gainprm, cylinder.model.actuator_gainprm)
@@ -118,7 +119,7 @@ def test_joints_each_with_their_own(cylinder: Scene) -> None:
     models = sim._parameters.models
     np.testing.assert_allclose(models[1].actuator_gainprm[cylinder.actuators, 0], kp[1])
     np.testing.assert_array_equal(models[0].geom_friction, cylinder.model.geom_friction)
-    assert sim.parameters.keys() == {"kp", "gear_friction"}
+    assert sim.parameters.keys() == {"kp", "gear_friction", "armature"}
 
 
 def test_shapes_that_do_not_fit(cylinder: Scene) -> None:

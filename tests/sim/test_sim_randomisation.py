@@ -26,6 +26,7 @@ EVERYTHING = Randomisation(
     stiffness_range=(0.7, 1.3),
     damping_range=(0.7, 1.3),
     gear_friction_range=(0.0, 0.02),
+    armature_range=(0.001, 0.004),
     speed_range=(0.6, 3.0),
     torque_range=(0.5, 1.0),
     action_latency_range=(0.0, 0.05),

@@ -1,0 +1,190 @@
+"""``dexctl hardware identify``: what a log says of each joint, and ranges to train with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from dexctl import HandModel, hands
+from dexctl.cli.checks import make_folder
+from dexctl.cli.output import print_json, results, table, to_json
+from dexctl.cli.parsing import Switch
+from dexctl.exceptions import InvalidInput
+from dexctl.files import aside, write_text
+from dexctl.hands.identity import identity
+from dexctl.state import Floats
+from hardware.identification import Fit, JointDynamics, identify
+from hardware.log import Log, read_log
+
+RANGES, FIGURES, PICTURE = "ranges.toml", "identification.json", "identification.png"
+
+
+@dataclass(kw_only=True)
+class Identify:
+    """Fit gains, friction, latency and inertia of each joint to a log.
+
+    The log is best one of `dexctl hardware run chirp`, which moves the empty hand. What is found is
+    written as ranges too, with which policies can be trained and tested: `dexctl evaluate
+    --conditions ranges.toml`.
+    """
+
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+    """The MCAP file of a run."""
+    hand: str | None = None
+    """Name or file of the hand, for the inertia of its links; none: as the log has it."""
+    out: Path | None = None
+    """Folder for ranges.toml, identification.json and identification.png; default the log's."""
+    json: Switch = False
+    """Print one JSON object instead of the table."""
+
+    def run(self) -> int:
+        log = read_log(self.log)
+        fit = identify(log)
+        hand = hands.load(self._hand(log))
+        if hand.nq != fit.q.shape[1]:
+            raise InvalidInput(
+                f"{self.log} has {fit.q.shape[1]} joints, and {hand.name} has {hand.nq}; "
+                "expected --hand with the hand of the log"
+            )
+        armature = rotor_inertia(hand, fit)
+        ranges = ranges_of(hand, fit.dynamics, armature, log.run)
+        folder = make_folder(self.out if self.out is not None else self.log.parent)
+        names = [str(name) for name in log.run["joints"]]
+        said = {
+            "command": "identify",
+            "log": str(self.log),
+            "hand": identity(hand),
+            "joints": names,
+            **{name: _listed(value) for name, value in fit.dynamics._asdict().items()},
+            "armature": _listed(armature),
+            "ranges": {name: list(value) for name, value in ranges.items()},
+        }
+        write_text(folder / FIGURES, to_json(said) + "\n")
+        write_text(folder / RANGES, toml_of(ranges, self.log.name))
+        draw(fit, names, folder / PICTURE)
+        if self.json:
+            print_json(said)
+        else:
+            _show(names, fit.dynamics, armature)
+            results().print(f"in {folder}: {RANGES}, {FIGURES} and {PICTURE}", soft_wrap=True)
+        return 0
+
+    def _hand(self, log: Log) -> str:
+        """The hand asked for, or that of the log."""
+        if self.hand is not None:
+            return self.hand
+        scene = log.run.get("scene")
+        named = scene.get("hand") if isinstance(scene, dict) else None
+        if not isinstance(named, str):
+            raise InvalidInput(f"{self.log} does not say which hand it is of; expected --hand")
+        return named
+
+
+def rotor_inertia(hand: HandModel, fit: Fit) -> Floats:
+    """What of each joint's inertia the hand's links do not explain, ``(d,)`` [kg m^2]."""
+    from dexctl.sim.file_settings import lean_model
+    from dexctl.sim.hand_spec import hand_spec
+    from dexctl.sim.servo_gains import link_inertia
+
+    model = lean_model(hand_spec(hand).spec, hand)
+    links = link_inertia(model, hand, hand.clip(np.nanmedian(fit.q, axis=0)))
+    return np.maximum(fit.dynamics.inertia - links, 0.0)
+
+
+def ranges_of(
+    hand: HandModel, found: JointDynamics, armature: Floats, run: Mapping[str, Any]
+) -> dict[str, tuple[float, float]]:
+    """Ranges of `dexctl.sim.Randomisation` that hold what was found.
+
+    Each goes from the least joint to the greatest and, beyond, half of that spread each way, at
+    least a fifth of the middle: one log of one hand is not all that there is.
+
+    Args:
+        hand: whose file has the damping of the joints.
+        found: of the joints.
+        armature: ``(d,)`` [kg m^2].
+        run: what the log says first.
+    """
+    from dexctl.sim.file_settings import lean_model
+    from dexctl.sim.hand_spec import hand_spec
+
+    model = lean_model(hand_spec(hand).spec, hand)
+    columns = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
+    damping = float(run["damping_nms_per_rad"]) + model.dof_damping[columns]
+    return {
+        "stiffness_range": _range(found.stiffness / float(run["stiffness_nm_per_rad"])),
+        "damping_range": _range(found.damping / damping),
+        "gear_friction_range": _range(found.friction),
+        "armature_range": _range(armature),
+        "action_latency_range": _range(found.latency),
+    }
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    low, high = np.nanmin(values), np.nanmax(values)
+    room = max(0.5 * (high - low), 0.1 * (high + low))
+    return float(max(low - room, 0.0)), float(high + room)
+
+
+def toml_of(ranges: Mapping[str, tuple[float, float]], source: str) -> str:
+    """Conditions as a file, for `dexctl evaluate --conditions`."""
+    lines = [f"# What {source} tells of the hand's joints."]
+    lines += [f"{name} = [{low:.4g}, {high:.4g}]" for name, (low, high) in ranges.items()]
+    return "\n".join(lines) + "\n"
+
+
+def draw(fit: Fit, names: list[str], path: Path) -> None:
+    """Each joint that moved, as measured and as computed."""
+    from dexctl.report.style import FAINT, INK, drawing, new_figure
+
+    moved = [j for j in range(len(names)) if fit.moving[:, j].any()]
+    with drawing(), aside(path) as file:
+        columns = min(len(moved), 3)
+        rows = -(-len(moved) // columns)
+        figure = new_figure(3.2 * columns, 1.5 * rows)
+        for place, j in enumerate(moved):
+            axes = figure.add_subplot(rows, columns, place + 1)
+            seen = fit.moving[:, j]
+            axes.plot(fit.time[seen], fit.q[seen, j], color=FAINT, lw=2.0, label="measured")
+            axes.plot(fit.time[seen], fit.computed[seen, j], color=INK, lw=0.8, label="computed")
+            axes.set_title(names[j])
+            axes.set_ylabel("rad" if place % columns == 0 else "")
+            axes.set_xlabel("s" if place >= len(moved) - columns else "")
+            if place == 0:
+                axes.legend(loc="upper right", ncols=2)
+        figure.savefig(file, format="png", dpi=110)
+
+
+def _show(names: list[str], found: JointDynamics, armature: Floats) -> None:
+    columns = {
+        "stiffness": ("N m/rad", found.stiffness),
+        "damping": ("N m s/rad", found.damping),
+        "friction": ("N m", found.friction),
+        "inertia": ("kg m²", found.inertia),
+        "rotor": ("kg m²", armature),
+        "latency": ("ms", 1e3 * found.latency),
+        "residual": ("mrad", 1e3 * found.residual),
+    }
+    shown = table("joint", *columns, right=columns, gap=1)
+    shown.add_row("", *(unit for unit, _ in columns.values()))
+    for j, name in enumerate(names):
+        if np.isnan(found.stiffness[j]):
+            shown.add_row(name, "did not", "move")
+        else:
+            shown.add_row(name, *(f"{value[j]:.3g}" for _, value in columns.values()))
+    results().print(shown)
+    if not found.measured_torque[np.isfinite(found.stiffness)].all():
+        results().print(
+            "where the measured torque tells nothing, the stiffness is what the servos were told"
+        )
+
+
+def _listed(value: np.ndarray) -> list[Any]:
+    if value.dtype == bool:
+        return value.tolist()
+    return [None if np.isnan(number) else float(number) for number in value]

@@ -1,0 +1,162 @@
+"""Identification: from what servos did, the values that moved them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from dexctl import HandModel
+from dexctl.cli import main
+from dexctl.exceptions import InvalidInput
+from dexctl.sim.conditions import under
+from dexctl.sim.scene_config import SceneConfig
+from dexctl.state import Floats
+from hardware.cli.run import make_controller
+from hardware.emulator.mujoco_hand import MujocoHand
+from hardware.identification import fit
+from hardware.log import LogWriter
+from hardware.motions import Chirp
+from hardware.registers import RADIANS_PER_TICK
+from hardware.scene import EMPTY
+
+PERIOD, SPEED, TORQUE, TOLD = 0.02, 0.6, 0.5, 3.0
+STIFFNESS, DAMPING, FRICTION, LATENCY = 2.6, 0.12, 0.03, 0.06
+
+
+class Samples(NamedTuple):
+    time: Floats
+    q_target: Floats
+    q: Floats
+    velocity: Floats
+    torque: Floats
+
+
+@pytest.fixture(scope="module")
+def chirp(dex5: HandModel) -> Samples:
+    """What the servos of the MuJoCo hand did, read as their encoders tell it."""
+    joints = MujocoHand(replace(EMPTY, gear_friction=FRICTION))
+    c = joints.commands
+    c.torque_on[:], c.kp[:], c.kd[:] = True, STIFFNESS, DAMPING
+    c.limit[:], c.speed[:] = TORQUE, SPEED
+    joints.reference[:] = c.goal[:] = start = joints.q.copy()
+    joints.set_action_latency(LATENCY)
+    motion = Chirp(dex5, seconds=6.0)
+    rows = []
+    for i in range(int((motion.seconds + 0.5) / PERIOD)):
+        c.goal[:] = dex5.clip(start + motion.offset((i + 1) * PERIOD))
+        q = np.round(joints.q / RADIANS_PER_TICK) * RADIANS_PER_TICK
+        rows.append((c.goal.copy(), q, joints.velocity.copy(), joints.torque.copy()))
+        joints.advance(PERIOD)
+    time = np.linspace(0.0, PERIOD * (len(rows) - 1), len(rows))
+    return Samples(time, *np.swapaxes(np.array(rows), 0, 1))
+
+
+def test_hidden_values_are_found(chirp: Samples) -> None:
+    found = fit(*chirp, speed_limit=SPEED, torque_limit=TORQUE, told=TOLD)
+    joints = found.dynamics
+    assert joints.measured_torque.all()
+    np.testing.assert_allclose(joints.stiffness, STIFFNESS, rtol=0.1)
+    np.testing.assert_allclose(joints.servo_damping, DAMPING, rtol=0.15)
+    np.testing.assert_allclose(joints.damping, DAMPING + 0.02, rtol=0.25)  # the joint's own: 0.02
+    np.testing.assert_allclose(joints.friction, FRICTION, rtol=0.2)
+    np.testing.assert_allclose(joints.latency, LATENCY, atol=0.01)
+    assert (joints.inertia > 0.002).all() and (joints.inertia < 0.004).all()  # armature 0.002
+    assert (joints.residual < 0.001).all()
+    seen = found.moving
+    assert np.abs(found.computed - found.q)[seen].max() < 0.01
+
+
+def test_without_measured_torque_the_gains_are_what_was_told(chirp: Samples) -> None:
+    blind = chirp._replace(torque=np.full_like(chirp.torque, np.nan))
+    one = Samples(blind.time, *(value[:, 2:3] for value in blind[1:]))
+    joints = fit(*one, speed_limit=SPEED, torque_limit=np.inf, told=TOLD).dynamics
+    assert not joints.measured_torque.any() and joints.stiffness == TOLD
+    assert joints.residual < 0.001
+    np.testing.assert_allclose(joints.latency, LATENCY, atol=0.03)
+
+
+def test_a_joint_that_stands_still_is_left_out(chirp: Samples) -> None:
+    still = chirp.q_target.copy()
+    still[:, 1] = still[0, 1]
+    two = Samples(chirp.time, *(value[:, 1:3] for value in chirp._replace(q_target=still)[1:]))
+    joints = fit(*two, speed_limit=SPEED, torque_limit=TORQUE, told=TOLD).dynamics
+    assert np.isnan([value[0] for value in joints[:-1]]).all()
+    assert np.isfinite([value[1] for value in joints[:-1]]).all()
+    still[:] = still[0]
+    with pytest.raises(InvalidInput, match=r"no set-point moved by more than 0\.01 rad"):
+        fit(*chirp._replace(q_target=still), speed_limit=SPEED, torque_limit=TORQUE, told=TOLD)
+
+
+def test_the_chirp_moves_one_joint_of_a_finger_at_its_speed(dex5: HandModel) -> None:
+    motion = make_controller("chirp", dex5)
+    assert isinstance(motion, Chirp)
+    path = np.array([motion.offset(t) for t in np.arange(0.0, motion.seconds, 0.001)])
+    assert np.abs(np.diff(path, axis=0)).max() < 1.1 * motion.speed * 0.001
+    assert np.abs(path).max() == pytest.approx(motion.amplitude, rel=0.01)
+    moving = np.abs(np.diff(path, axis=0)) > 0
+    assert (moving[:, dex5.finger_joints].sum(axis=2) <= 1).all()
+    assert moving.any(axis=0).all()
+    assert not motion.offset(motion.seconds + 1.0).any()
+
+
+def write_log(path: Path, chirp: Samples, joints: list[str], *, state: str = "run") -> None:
+    with LogWriter(path) as log:
+        log.write(
+            "/run",
+            {
+                "scene": {"hand": "dex5"},
+                "joints": joints,
+                "limits": {"speed_limit": SPEED, "torque_limit": TORQUE},
+                "stiffness_nm_per_rad": TOLD,
+                "damping_nms_per_rad": 0.15,
+            },
+        )
+        for time, q_target, q, velocity, torque in zip(*chirp, strict=True):
+            tick = {"time": time, "q": q, "q_target": q_target, "velocity": velocity}
+            tick |= {"torque": torque, "state": state, "fresh": [True] * len(q), "age": 0.0}
+            tick |= {"in_contact": [], "contact_force": [], "lateness": 0.0}
+            while not log.write("/tick", tick):
+                pass
+
+
+def test_the_command_writes_ranges_to_train_with(
+    dex5: HandModel, chirp: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_log(path, chirp, list(dex5.joint_names))
+    assert main(["hardware", "identify", str(path), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said == json.loads((tmp_path / "identification.json").read_text())
+    np.testing.assert_allclose(said["armature"], 0.002, atol=0.001)
+    config = under(SceneConfig(), str(tmp_path / "ranges.toml")).randomisation
+    for found, hidden in (
+        (config.stiffness_range, STIFFNESS / TOLD),
+        (config.damping_range, (DAMPING + 0.02) / 0.17),
+        (config.gear_friction_range, FRICTION),
+        (config.armature_range, 0.002),
+        (config.action_latency_range, LATENCY),
+    ):
+        assert found is not None and found[0] < hidden < found[1]
+    assert (tmp_path / "identification.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["hardware", "identify", str(path), "--out", str(tmp_path / "there")]) == 0
+    shown = capsys.readouterr().out
+    assert "f5_flexion2" in shown and "N m/rad" in shown
+
+
+def test_logs_that_tell_nothing(
+    dex5: HandModel, chirp: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short, other = tmp_path / "short.mcap", tmp_path / "other.mcap"
+    write_log(short, Samples(*(value[:50] for value in chirp)), list(dex5.joint_names))
+    assert main(["hardware", "identify", str(short)]) == 2
+    assert "holds 50 ticks of a controller; expected 100 or more" in capsys.readouterr().err
+    write_log(other, chirp, list(dex5.joint_names), state="armed")
+    assert main(["hardware", "identify", str(other)]) == 2
+    assert "holds 0 ticks of a controller" in capsys.readouterr().err
+    assert main(["hardware", "identify", str(tmp_path / "none.mcap")]) == 2
+    assert "No such file" in capsys.readouterr().err
