@@ -213,7 +213,7 @@ def test_controllers_are_made_for_the_axis_that_was_trained(tmp_path: Path) -> N
     assert result is not None
     # 0.5 rad/s for a second, less what the fingers need to get going
     assert min(result["episodes"]["cube"]["rotation_rad"]) > 0.3
-    assert result["evaluation"]["task"]["axis"] == "x"
+    assert result["evaluation"]["task"]["turning"]["axis"] == "x"
     assert result["evaluation"]["scene"]["object_size"] == 0.07
 
 
