@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from dexctl.planning import Kinematic, Tree, grow, holding
+from dexctl.planning import Kinematic, grow, holding, path_states
 from dexctl.sim import Scene
 
 
@@ -22,11 +22,10 @@ def main(until_rotation: float = 2 * np.pi) -> None:
     held = holding(scene, tree, path)
     print(f"hold in simulation: {held.sum()} of {len(path)}")
 
-    # Grasps of the five best paths that hold: dexctl train --env.initial-states starts.npz
-    rows = np.unique(np.concatenate(Tree.load("tree.npz").paths(5)))
-    rows = rows[holding(scene, tree, rows)]
-    tree.states(rows).save("starts.npz")
-    print(f"{len(rows)} starts are in starts.npz")
+    # Grasps on its paths that hold: dexctl train --env.initial-states starts.npz
+    starts = path_states(tree, 200, scene=scene)
+    starts.save("starts.npz")
+    print(f"{len(starts)} starts are in starts.npz")
 
 
 if __name__ == "__main__":

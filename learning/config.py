@@ -14,9 +14,16 @@ from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import NESTED, changed
 from dexctl.validation import check_whole
-from learning.algorithms.config import OffPolicyConfig, PPOConfig, SACConfig, TD3Config
+from learning.algorithms.config import (
+    ImitationConfig,
+    OffPolicyConfig,
+    PPOConfig,
+    SACConfig,
+    TD3Config,
+)
 from learning.envs.config import EnvConfig
 from learning.exploration.config import GuidanceConfig, check_controllers
+from learning.starts.config import StartsConfig
 from learning.training.curriculum import CurriculumConfig
 
 
@@ -41,6 +48,8 @@ class TrainConfig:
     sac: SACConfig = SACConfig()
     td3: TD3Config = TD3Config()
     ppo: PPOConfig = PPOConfig()
+    starts: Annotated[StartsConfig, NESTED] = StartsConfig()
+    imitation: Annotated[ImitationConfig, NESTED] = ImitationConfig()
     steps: int = 1_000_000
     """Environment steps, of all environments together."""
     seed: int = 0
@@ -82,6 +91,7 @@ class TrainConfig:
                 f"level_start is {self.curriculum.level_start} and there are no ranges to widen; "
                 "expected a range such as mass_range, or level_start 1"
             )
+        self._check_starts()
         own = self.learner
         if isinstance(own, OffPolicyConfig) and own.buffer_size < max(
             self.num_envs, own.batch_size
@@ -89,6 +99,24 @@ class TrainConfig:
             raise InvalidInput(
                 f"buffer_size is {own.buffer_size}; expected at least one batch of "
                 f"{own.batch_size} and one step of {self.num_envs} environments"
+            )
+
+    def _check_starts(self) -> None:
+        start, file = self.starts.start_from, self.env.scene.initial_states
+        if start != "fixed" and file is not None:
+            raise InvalidInput(
+                f"start_from is {start!r} and initial_states is {file}; expected one of them"
+            )
+        imitated = self.imitation.imitated
+        if imitated != "none" and self.algorithm != "ppo":
+            raise InvalidInput(
+                f"imitated is {imitated!r} and algorithm {self.algorithm!r}; expected ppo, whose "
+                "policy begins so (a guide shows the others)"
+            )
+        if imitated != "none" and start != "paths" and file is None:
+            raise InvalidInput(
+                f"imitated is {imitated!r} and start_from {start!r}; expected 'paths', or "
+                "initial_states"
             )
 
     @property

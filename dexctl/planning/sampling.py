@@ -92,6 +92,7 @@ def sample_grasps(
     metric: Metric | None = None,
     stability: Stability | None = None,
     most_tried: int | None = None,
+    seconds: float | None = None,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> SampledGrasps:
@@ -111,6 +112,7 @@ def sample_grasps(
         metric: for what counts as distinct; None: its default.
         stability: None: the default check; its `min_contacts` are those of ``sampling``.
         most_tried: give up after settling so many; None: a hundred for each that is wanted.
+        seconds: give up after this time, with those that were found; None: never.
         threads: of the physics; None: every core.
         progress: called with the number of grasps so far.
 
@@ -129,7 +131,8 @@ def sample_grasps(
     most = 100 * count if most_tried is None else most_tried
     search, found, refused, tried = Nearest(scene.hand.nq + 6), [], Counter[str](), 0
     with BatchSimulator(scene, config.batch, disturbance=0.0, threads=threads) as sim:
-        while len(search) < count and tried < most:
+        ends = np.inf if seconds is None else start + seconds
+        while len(search) < count and tried < most and perf_counter() < ends:
             placed, reached = draw(rng)
             kept, why = _settled(sim, placed, reached, frame, config, check)
             tried += config.batch

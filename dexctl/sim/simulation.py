@@ -106,6 +106,11 @@ class Simulation:
         return self._state
 
     @property
+    def starts(self) -> GraspStates | None:
+        """What episodes begin in; None: the settled grasp."""
+        return None if self._sampler is None else self._sampler.states
+
+    @property
     def diverged(self) -> Bools:
         """Whose simulation broke down, ``(N,)``, until it is reset; its last finite state stays."""
         return self.sim.diverged

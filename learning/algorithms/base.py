@@ -117,6 +117,28 @@ class Algorithm(ABC):
             left: share of the training that is left, for schedules of the learning rate.
         """
 
+    def imitate(
+        self,
+        observation: np.ndarray,
+        action: np.ndarray,
+        *,
+        epochs: int,
+        batch_size: int,
+        seed: int,
+    ) -> None:
+        """Begin the policy with what was done elsewhere, before the first step.
+
+        Args:
+            observation: ``(E, K)``.
+            action: what was done there, ``(E, d)``, in [-1, 1].
+            epochs, batch_size: passes over all of them, and how many make an update.
+            seed: of their order.
+
+        Raises:
+            NotImplementedError: the algorithm imitates while it learns, or not at all.
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not begin by imitating")
+
     def values(self, observation: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """What candidates' actions ``(C, n, d)`` are worth in observations ``(n, K)``, ``(C, n)``.
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from dexctl.exceptions import InvalidInput
-from dexctl.validation import check_numbers, check_whole
+from dexctl.validation import check_name, check_numbers, check_whole
+
+Imitated = Literal["none", "joints", "set_points"]
+IMITATED: tuple[Imitated, ...] = get_args(Imitated)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,6 +149,9 @@ class PPOConfig:
     """What the policy's entropy is worth."""
     max_gradient: float = 1.0
     """Longest gradient, of the actor and of the critic each."""
+    critic_steps: int = 0
+    """Environment steps in which only the critic learns, after imitation; 2 million in the
+    thesis."""
     initial_deviation: float = 0.5
     """First standard deviation of the actions, in units of [-1, 1]."""
     network: tuple[int, ...] = (256, 256)
@@ -153,7 +160,7 @@ class PPOConfig:
     """Whether observations are normalised by their running mean and deviation."""
 
     def __post_init__(self) -> None:
-        check_whole(self, rollout_steps=1, epochs=1, minibatches=1)
+        check_whole(self, rollout_steps=1, epochs=1, minibatches=1, critic_steps=0)
         check_numbers(
             self,
             positive=("learning_rate", "clip", "max_gradient", "initial_deviation", "value_weight"),
@@ -171,6 +178,31 @@ class PPOConfig:
                     "learning rate adapts to target_kl"
                 )
         check_network(self.network)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImitationConfig:
+    """Imitation pre-training (IPT, thesis chapter 5): PPO's policy begins with a tree's edges.
+
+    Raises:
+        UnknownName, InvalidInput: a setting is wrong; the message names it.
+    """
+
+    imitated: Imitated = "none"
+    """none: the policy begins at random. joints: it begins with beta (q of a state - q of the one
+    that it was reached from); set_points: with the change of their set-points, which is the action
+    itself in a tree of random actions."""
+    imitation_beta: float = 2.0
+    """Beta of the joints' labels; 2 in the thesis."""
+    imitation_epochs: int = 20
+    """Passes over all edges."""
+    imitation_batch: int = 256
+    """Edges of an update."""
+
+    def __post_init__(self) -> None:
+        check_name("imitated", self.imitated, IMITATED)
+        check_numbers(self, positive=("imitation_beta",))
+        check_whole(self, imitation_epochs=1, imitation_batch=1)
 
 
 def check_network(widths: tuple[int, ...]) -> None:

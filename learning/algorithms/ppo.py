@@ -23,6 +23,7 @@ from learning.algorithms.losses import (
     clipped_policy_loss,
     gaussian_kl,
     gaussian_log_prob,
+    squared_cloning,
     value_loss,
 )
 from learning.algorithms.networks import layers, numbers, restore
@@ -115,6 +116,32 @@ class PPO(Algorithm):
     def _value(self, inputs: np.ndarray) -> np.ndarray:
         return self.critic(self._tensor(inputs))[0, :, 0].cpu().numpy()
 
+    def imitate(
+        self,
+        observation: np.ndarray,
+        action: np.ndarray,
+        *,
+        epochs: int,
+        batch_size: int,
+        seed: int,
+    ) -> None:
+        """By the squared error of the mean action (thesis chapter 5, Alg. IPT)."""
+        if self.config.normalise:
+            for name, part in self._columns.items():
+                self.normalisations[name].see(observation[:, part])
+        seen = self._tensor(self._inputs(observation)["policy"])
+        wanted = self._tensor(action)
+        optimizer = torch.optim.Adam([self.actor.flat], 1e-3)
+        order = np.random.default_rng(seed)
+        for _ in range(epochs):
+            rows = order.permutation(len(action))
+            for first in range(0, len(rows), batch_size):
+                index = torch.as_tensor(rows[first : first + batch_size])
+                mean = torch.tanh(self.actor(seen[index])[0])
+                optimizer.zero_grad()
+                squared_cloning(wanted[index], mean, torch.ones(len(index), 1)).backward()
+                optimizer.step()
+
     def act(self, observation: np.ndarray) -> np.ndarray:
         """As of every algorithm; densities and values are kept for the `observe` that follows."""
         if self.config.normalise:
@@ -199,6 +226,8 @@ class PPO(Algorithm):
         (loss + config.value_weight * critic_loss).backward()
         for weights in ([self.actor.flat, self.log_std], [self.critic.flat]):
             torch.nn.utils.clip_grad_norm_(weights, config.max_gradient)
+        if self.steps <= config.critic_steps:  # Adam leaves out what has no gradient
+            self.actor.flat.grad = self.log_std.grad = None
         self.optimizer.step()
         return {
             "actor_loss": actor_loss.item(), "critic_loss": critic_loss.item(),

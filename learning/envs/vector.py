@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import UnknownName
 from dexctl.settings import from_plain
-from dexctl.sim import checks
+from dexctl.sim import GraspStates, checks
 from dexctl.sim.simulation import Simulation
 from dexctl.state import Bools, Floats, GraspState
 from learning.envs.action import SetPointAction, check_action
@@ -228,6 +228,20 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         self.task.begin(chosen, self.simulation.state)
         self._length[chosen] = 0
         self._returns[chosen] = 0.0
+
+    def place(self, states: GraspStates, index: ArrayLike) -> NDArray[np.float32]:
+        """Begin new episodes in given grasps, at rest and undisturbed.
+
+        Args:
+            states: see `Simulation.place`.
+            index: which of them each environment gets, ``(N,)``.
+
+        Returns:
+            Observations ``(N, k)``.
+        """
+        self.simulation.place(states, index)
+        self._begun(np.ones(self.num_envs, bool))
+        return self._observe()
 
     def _observe(self) -> NDArray[np.float32]:
         """What the policy's sensors tell and, for critics, how things are."""

@@ -2,8 +2,9 @@
 
 A run folder holds ``config.json``, ``hand.json`` (which hand is trained), ``progress.csv`` with
 TensorBoard's files in ``tensorboard``, ``checkpoint.bin``, and ``policy.npz`` with its card
-``policy.json``. Everything in it is written aside and renamed, so a run that is killed at any
-moment leaves whole files, and at most what it was writing beside them.
+``policy.json``; where starts were planned for the run, ``starts.npz``. Everything in it is written
+aside and renamed, so a run that is killed at any moment leaves whole files, and at most what it was
+writing beside them.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ class RunFolder:
         path: of the folder, which need not be there yet.
 
     Attributes:
-        config_path, hand_path, progress_path, tensorboard_path, checkpoint_path, policy_path:
-            where the parts of the run are, or will be.
+        config_path, hand_path, progress_path, tensorboard_path, checkpoint_path, policy_path,
+            starts_path: where the parts of the run are, or will be.
     """
 
     def __init__(self, path: Path) -> None:
@@ -57,6 +58,7 @@ class RunFolder:
         self.tensorboard_path = path / "tensorboard"
         self.checkpoint_path = path / "checkpoint.bin"
         self.policy_path = path / "policy.npz"
+        self.starts_path = path / "starts.npz"
         self._held = False
 
     @staticmethod

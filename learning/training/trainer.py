@@ -18,10 +18,13 @@ from dexctl.settings import difference, to_plain
 from learning.algorithms.base import Transitions
 from learning.config import TrainConfig
 from learning.exploration import POLICY
+from learning.starts.catalogue import make_starts
+from learning.starts.check import check_starts
 from learning.training.build import build_algorithm, build_env, build_guide
 from learning.training.checkpoint import CheckpointError
 from learning.training.curriculum import Curriculum
 from learning.training.export import export_policy
+from learning.training.imitation import imitate
 from learning.training.interruption import interruptible
 from learning.training.log import RunLog, Tally, who_acted
 from learning.training.run_folder import RunFolder
@@ -59,6 +62,8 @@ def train(
     # what is wrong with the configuration shows before a file is written
     trainer = Trainer(config, folder, report, remark)
     try:
+        if trainer.env.simulation.starts is not None:  # those of a file
+            check_starts(trainer.env, remark or (lambda text: None))
         with folder.lock():
             folder.create(config)
             folder.note_hand(trainer.env.hand)
@@ -145,6 +150,7 @@ class Trainer:
         self.guide = build_guide(config, self.env)
         self.algorithm = build_algorithm(config, self.env)
         self.curriculum = Curriculum(config.curriculum, config.env.episode_steps)
+        self.starts = make_starts(config.starts, self.env, config.seed)
         self.tally = Tally()
         self.row: dict[str, float] = {}
         self.stop = False
@@ -159,7 +165,10 @@ class Trainer:
     def run(self, saved: dict[str, Any] | None) -> dict[str, Any]:
         """Train, from a checkpoint's content or from the beginning; see `resume`."""
         resume_at = None
-        if saved is not None:
+        self.starts.begin(self.folder.starts_path, self._remark)
+        if saved is None:
+            self._prepare()
+        else:
             self._restore(saved)
             resume_at = self.algorithm.steps
         self._log = RunLog(
@@ -179,6 +188,14 @@ class Trainer:
             self._export()
         policy = str(self.folder.policy_path)
         return {"policy": policy, "steps": self.algorithm.steps, "last": self.row}
+
+    def _prepare(self) -> None:
+        """What comes before the first step of a new run."""
+        if self.env.simulation.starts is None:
+            return
+        if self.config.imitation.imitated != "none":
+            imitate(self.algorithm, self.env, self.config.imitation, self.config.seed)
+        self._observation, _ = self.env.reset(seed=self.config.seed)
 
     def turn(self, pool: ThreadPoolExecutor) -> None:
         """One step of all environments, and the updates that are due."""
@@ -214,6 +231,7 @@ class Trainer:
         if self.curriculum.add(self.guide.own(before), lost):
             env.simulation.randomiser.level = self.curriculum.level
         self.guide.after_step(info["done"])
+        self.starts.after_step(algorithm.steps, info["done"])
         self.tally.add(reward, np.flatnonzero(info["done"]), info)
         if not (self.config.overlap and algorithm.overlaps):
             self._update()
@@ -287,6 +305,7 @@ class Trainer:
                 "config": to_plain(self.config),
                 "algorithm": algorithm.state_dict(),
                 "guide": self.guide.state_dict(),
+                "starts": self.starts.state_dict(),
                 "env": self.env.save(),
                 "curriculum": self.curriculum.save(),
                 "observation": self._observation,
@@ -319,6 +338,7 @@ class Trainer:
             )
         try:
             self.algorithm.load_state_dict(saved["algorithm"])
+            self.starts.load_state_dict(saved["starts"])
             self.env.restore(saved["env"])
             for text in self.guide.load_state_dict(saved["guide"]):
                 self._remark(text)

@@ -1,0 +1,47 @@
+"""check_starts: whether grasps that episodes are to begin in hold at all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dexctl.exceptions import InvalidInput
+from learning.envs.vector import ManipulationVectorEnv
+from learning.starts.base import Remark
+
+_SECONDS = 0.5
+_FAR = 0.02  # an object that has moved so far by then is not held [m]
+_FEWEST = 0.5  # share that has to hold
+
+
+def check_starts(env: ManipulationVectorEnv, remark: Remark) -> None:
+    """Hold the set-points of one start in each environment, as noisy as episodes begin.
+
+    A tree of another gravity, size or hand's stiffness has grasps that fall at once; it says so
+    before hours of training on them. The environments are left where they are.
+
+    Args:
+        env: the environments, with states to start from.
+        remark: called where a tenth or more do not hold.
+
+    Raises:
+        InvalidInput: most of them do not hold.
+    """
+    simulation, config = env.simulation, env.config.scene
+    simulation.reset()
+    sim, target = simulation.sim, simulation.state.q_target
+    for _ in range(max(1, round(_SECONDS / simulation.control_period))):
+        simulation.write(target)
+        simulation.step()
+    position = simulation.state.object_position
+    assert position is not None
+    away = np.linalg.norm(position - sim.start_position, axis=-1)
+    held = int((~simulation.diverged & (away <= _FAR)).sum())
+    count = simulation.num_envs
+    said = (
+        f"{count - held} of {count} starts do not hold for {_SECONDS:g} s with "
+        f"{config.hand_name}, {', '.join(config.object)}, {config.palm}"
+    )
+    if held < _FEWEST * count:
+        raise InvalidInput(f"{said}; expected grasps of this very scene, as `dexctl plan` finds")
+    if held <= 0.9 * count:
+        remark(said)

@@ -1,0 +1,73 @@
+"""PlannedStarts: sampled grasps, or the paths of a tree, made before the training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from dexctl.planning import (
+    ControllerMacros,
+    Expansion,
+    Kinematic,
+    RandomActions,
+    grow,
+    path_states,
+    sample_grasps,
+)
+from dexctl.sim import Scene
+from dexctl.sim.grasp_states import GraspStates
+from learning.envs.vector import ManipulationVectorEnv
+from learning.starts.base import Remark, Starts
+from learning.starts.config import StartsConfig
+
+_EXPANSIONS: dict[str, type[Expansion]] = {
+    "kinematic": Kinematic, "controllers": ControllerMacros, "random": RandomActions,
+}  # fmt: skip
+
+
+class PlannedStarts(Starts):
+    """Episodes begin in grasps that were planned for the objects of the environments.
+
+    Args:
+        env: the environments.
+        config: the settings.
+        seed: of trees and samples.
+    """
+
+    def __init__(self, env: ManipulationVectorEnv, config: StartsConfig, seed: int) -> None:
+        super().__init__(env)
+        self._config, self._seed = config, seed
+
+    def begin(self, path: Path, remark: Remark) -> None:
+        simulation = self.env.simulation
+        if path.exists():
+            states = GraspStates.load(path)
+        else:
+            start = perf_counter()
+            scenes = [group.scene for group in simulation.sim.groups]
+            states = GraspStates.concatenate([self._made(scene) for scene in scenes])
+            states.save(path)
+            remark(
+                f"{len(states)} {self._config.start_from} to start from in {path}, made in "
+                f"{perf_counter() - start:.0f} s"
+            )
+        simulation.start_from(states)
+
+    def _made(self, scene: Scene) -> GraspStates:
+        config, threads = self._config, self.env.config.scene.threads
+        options: dict[str, Any] = {
+            "axis": self.env.config.task.direction, "seed": self._seed, "threads": threads,
+        }  # fmt: skip
+        if config.start_from == "grasps":
+            found = sample_grasps(
+                scene, config.start_count, seconds=config.start_seconds, **options
+            )
+            return found.states
+        expansion = _EXPANSIONS[config.tree_expand]()
+        tree = grow(
+            scene, expansion, nodes=config.tree_nodes, seconds=config.start_seconds, **options
+        )
+        # those of simulated trees have been held already
+        unseen = None if tree.header.physics_steps else scene
+        return path_states(tree, config.start_count, scene=unseen, threads=threads)

@@ -1,0 +1,175 @@
+"""Reset distributions: what episodes begin in, by name, in a training that is resumed too."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.sim import GraspStates, SceneConfig
+from learning.config import TrainConfig
+from learning.envs import EnvConfig, ManipulationVectorEnv
+from learning.starts.catalogue import make_starts
+from learning.starts.check import check_starts
+from learning.starts.config import NAMES, StartsConfig
+
+Make = Callable[..., TrainConfig]
+
+
+def env(count: int = 12, **scene: Any) -> ManipulationVectorEnv:
+    scene = {"object": ("cylinder",), "threads": 1, **scene}
+    return ManipulationVectorEnv(EnvConfig(scene=SceneConfig(**scene)), count, 0)
+
+
+def settled(made: ManipulationVectorEnv) -> GraspStates:
+    state = made.state
+    assert state.object_position is not None
+    assert state.object_quaternion is not None
+    return GraspStates(
+        hand="dex5",
+        q=state.q,
+        q_target=state.q_target,
+        object_position=state.object_position,
+        object_quaternion=state.object_quaternion,
+        object=np.array(made.objects),
+        joint_names=np.array(made.hand.joint_names),
+    )
+
+
+@pytest.fixture
+def said() -> list[str]:
+    return []
+
+
+def test_paths_and_grasps_are_planned_once(tmp_path: Path, said: list[str]) -> None:
+    path = tmp_path / "starts.npz"
+    config = StartsConfig(start_from="paths", start_count=40, tree_nodes=60, start_seconds=20)
+    made = env(4)
+    make_starts(config, made, 3).begin(path, said.append)
+    states = GraspStates.load(path)
+    assert 30 <= len(states) <= 80
+    assert states.weight is not None and states.parent is not None
+    assert json.loads(states.meta)["tree"]["seed"] == 3
+    assert f"{len(states)} paths to start from in {path}" in said[0]
+    made.reset()
+    for q in made.state.q:
+        assert np.abs(states.q - q).max(axis=1).min() < 1e-12
+    again = env(4)
+    make_starts(config, again, 4).begin(path, said.append)  # as it is after a kill
+    assert len(said) == 1
+    assert again.simulation.starts is not None
+    np.testing.assert_array_equal(again.simulation.starts.q, states.q)
+    grasps = replace(config, start_from="grasps", start_count=5)
+    make_starts(grasps, env(4), 0).begin(tmp_path / "grasps.npz", said.append)
+    assert len(GraspStates.load(tmp_path / "grasps.npz")) == 5
+
+
+def test_explored_states_are_those_of_the_training(tmp_path: Path, said: list[str]) -> None:
+    made = env(12)
+    config = StartsConfig(start_from="explored", start_count=50, explored_share=0.8)
+    starts = make_starts(config, made, 0)
+    starts.begin(tmp_path / "none", said.append)
+    before = made.state.q
+    seen = [before]
+    for turn in range(100):
+        made.step(np.full((12, 15), 0.05 * np.sin(0.3 * turn)))
+        done = np.zeros(12, bool)
+        done[0] = True  # its state is the first of an episode, and not remembered
+        starts.after_step(12 * (turn + 1), done)
+        seen.append(made.state.q)
+    given = made.simulation.starts
+    assert given is not None and given.weight is not None
+    assert len(given) == 12 + 50
+    np.testing.assert_array_equal(given.q[:12], before)
+    assert given.weight[12:].sum() == pytest.approx(0.8 * given.weight.sum())
+    visited = np.concatenate(seen)
+    turns = []
+    for q in given.q[12:]:
+        row = int(np.abs(visited - q).max(axis=1).argmin())
+        assert np.array_equal(visited[row], q) and row % 12 != 0
+        turns.append(row // 12)
+    assert np.ptp(turns) > 5 and max(turns) == 100  # older ones become rarer, but there are some
+    assert not (tmp_path / "none").exists()
+
+
+def test_gravity_grows(tmp_path: Path, said: list[str]) -> None:
+    made = env(2)
+    starts = make_starts(StartsConfig(start_from="gravity", gravity_steps=1000), made, 0)
+    starts.begin(tmp_path / "none", said.append)
+    found = []
+    for step in (0, 4, 250, 999, 1000, 5000):
+        starts.after_step(step, np.zeros(2, bool))
+        gravity = made.simulation.sim.read().gravity
+        assert gravity is not None
+        found.append(float(gravity[0, 2]) / -9.81)
+    assert found == pytest.approx([0.0, 0.0, 0.25, 0.99, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_resumed_training_ends_with_the_same_bits(name: str, small: Make, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    from learning.training.trainer import resume, train
+
+    config = small(
+        start_from=name, start_count=20, tree_nodes=30, start_seconds=20, gravity_steps=300,
+        steps=4 * 120, num_envs=4, algorithm="ppo", method="rl", checkpoint_every=240,
+    )  # fmt: skip
+    train(config, tmp_path / "whole")
+    train(replace(config, steps=4 * 70), tmp_path / "cut")
+    resume(tmp_path / "cut", 4 * 120)
+    one, other = (np.load(tmp_path / run / "policy.npz") for run in ("whole", "cut"))
+    for key in one.files:
+        if one[key].dtype.kind == "f":
+            np.testing.assert_array_equal(one[key], other[key], err_msg=key)
+
+
+def test_starts_that_do_not_hold_are_one_line(said: list[str]) -> None:
+    made = env(8)
+    good = settled(made)
+    made.simulation.start_from(good)
+    check_starts(made, said.append)
+    assert said == []
+    loose = replace(good, q_target=good.q - 0.5)
+    made.simulation.start_from(loose)
+    with pytest.raises(InvalidInput, match="8 of 8 starts do not hold .* cylinder, palm up") as e:
+        check_starts(made, said.append)
+    assert "\n" not in str(e.value)
+    few = replace(
+        loose, q_target=np.where(np.arange(8)[:, None] < 2, loose.q_target, good.q_target)
+    )
+    made.simulation.start_from(few)
+    made.simulation.reset(7)
+    check_starts(made, said.append)
+    assert len(said) <= 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        (
+            {"start_from": "anywhere"},
+            "start_from is 'anywhere'; expected 'fixed' or",
+        ),
+        (
+            {"start_from": "paths", "env__initial_states": Path("x.npz")},
+            "'paths' and initial_states",
+        ),
+        ({"tree_expand": "magic"}, "tree_expand is 'magic'; expected 'kinematic' or"),
+        ({"start_count": 0}, "start_count is 0"),
+        ({"explored_share": 1.5}, "explored_share is 1.5"),
+        ({"imitated": "joints", "start_from": "paths"}, "algorithm 'sac'; expected ppo"),
+        (
+            {"imitated": "joints", "algorithm": "ppo", "method": "rl"},
+            "'joints' and start_from 'fixed'; expected 'paths', or initial_states",
+        ),
+    ],
+)
+def test_what_is_refused(small: Make, settings: dict[str, Any], what: str) -> None:
+    with pytest.raises((InvalidInput, UnknownName), match=what):
+        small(**settings)
