@@ -117,6 +117,13 @@ _CONTROLLERS = {
             attribute="CoordinatedGait",
         ),
         ControllerEntry(
+            name="goal",
+            title="gait to a goal",
+            description="brings the object to a goal orientation: gaits about one axis, then tilts",
+            module="dexctl.gait",
+            attribute="GoalGait",
+        ),
+        ControllerEntry(
             name="hold",
             title="hold still",
             description="keeps the set-points, for comparison",

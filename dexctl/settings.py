@@ -114,6 +114,19 @@ Range = Annotated[
 """From a low to a high number; "low,high" on the command line."""
 
 
+Names = Annotated[
+    tuple[str, ...],
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="NAME,NAME",
+        instance_from_str=lambda words: tuple(filter(None, words[0].split(","))),
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [",".join(value)],
+    ),
+]
+"""Names that may begin with a minus; "x,-y" on the command line."""
+
+
 def to_plain(config: Any) -> dict[str, Any]:
     """A configuration as JSON can hold it; `from_plain` makes it again."""
     return {field.name: _plain(getattr(config, field.name)) for field in fields(config)}

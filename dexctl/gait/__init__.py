@@ -1,6 +1,7 @@
 """Finger gaiting: in-grasp manipulation and contact switching superposed, at random or by plan."""
 
 from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitChanges, CoordinatedGaitConfig
+from dexctl.gait.goal import GoalGait, GoalGaitChanges, GoalGaitConfig
 from dexctl.gait.macro import Macro, MacroConfig
 from dexctl.gait.thesis import FingerGaiting, FingerGaitingChanges, FingerGaitingConfig
 
@@ -11,6 +12,9 @@ __all__ = [
     "FingerGaiting",
     "FingerGaitingChanges",
     "FingerGaitingConfig",
+    "GoalGait",
+    "GoalGaitChanges",
+    "GoalGaitConfig",
     "Macro",
     "MacroConfig",
 ]

@@ -212,7 +212,12 @@ class CoordinatedGait(Controller):
 
     def _arrays(self) -> dict[str, np.ndarray]:
         assert self._fresh is not None
-        return {"fresh": self._fresh, "neutral": self._neutral, "wait": self._wait}
+        return {
+            "fresh": self._fresh,
+            "neutral": self._neutral,
+            "wait": self._wait,
+            "direction": self._direction,
+        }
 
     def state_dict(self) -> dict[str, Any]:
         met = (
@@ -245,12 +250,21 @@ class CoordinatedGait(Controller):
         check_state(self.hand, state)
         check_sound(self.hand, state)
         if state.batch_shape:
-            return self._act(state)
-        action = self._act(state[None])[0]
+            return self.command(state)
+        action = self.command(state[None])[0]
         self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
         return action
 
-    def _act(self, state: GraspState) -> Floats:
+    def command(self, state: GraspState, twist: Floats | None = None) -> Floats:
+        """As `act`, for a batch ``(N,)`` that is sound, with a twist of its own for each hand.
+
+        Args:
+            state: of N hands.
+            twist: wanted object velocity ``(N, 6)`` [m/s, rad/s]; fingers are switched for its part
+                about the axis of the settings, either way round, the rest is left to the grasp.
+                None: that of the settings.
+        """
+        wanted = np.tile(self._twist, (len(state.q), 1)) if twist is None else twist
         now = self.hand.configuration(state.q)
         tip = now.fingertip_position
         self._meet(state, tip)
@@ -264,7 +278,10 @@ class CoordinatedGait(Controller):
             self._odometry.follow(state.object_position, state.object_quaternion)
         origin = np.asarray(state.object_position)
         flat = split(tip - origin[:, None], self.axis)[1]
-        angle = azimuth(self._neutral, flat, self.axis)
+        along = wanted[:, 3:] @ self.axis
+        self._direction = np.where(along == 0.0, self._direction, np.sign(along))
+        # how far each finger has come with the rotation, whichever way that goes
+        angle = self._direction[:, None] * azimuth(self._neutral, flat, self.axis)
 
         normal = np.where(state.in_contact[..., None], state.contact_normal, 0.0)
         point = np.where(state.in_contact[..., None], state.contact_position, tip)
@@ -280,10 +297,13 @@ class CoordinatedGait(Controller):
         released = self.switch.released
         furthest = np.where(state.in_contact & ~released, angle, -np.inf).max(axis=1)
         pace = np.clip((self.config.most_travel - furthest) / self.config.slow_down, 0.0, 1.0)
+        paced = pace[:, None] * wanted
+        if twist is not None:  # what no finger has to be switched for goes on
+            paced = wanted - ((1.0 - pace) * along)[:, None] * np.append(np.zeros(3), self.axis)
         share = Share(
             released=released,
             max_force=self.switch.max_force,
-            twist=pace[:, None] * self._twist,
+            twist=paced,
             yielding=self.switch.yielding,
         )
         holding = self.in_grasp.command(state, share, now)
@@ -323,6 +343,7 @@ class CoordinatedGait(Controller):
         length = np.sqrt((flat * flat).sum(axis=-1, keepdims=True))
         self._neutral[fresh] = flat / np.maximum(length, 1e-9)
         self._wait[fresh] = 0.0
+        self._direction[fresh] = 1.0
         self.switch.clear(fresh)
         self._fresh = np.zeros(count, bool)
 
@@ -333,6 +354,7 @@ class CoordinatedGait(Controller):
         self._fresh = np.ones(count, bool)
         self._neutral = np.zeros((count, self.hand.n_fingers, 3))
         self._wait = np.zeros(count)
+        self._direction = np.ones(count)
         return self._fresh
 
     def _begin(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
@@ -343,7 +365,7 @@ class CoordinatedGait(Controller):
         ready = np.flatnonzero(~busy & (self._wait <= 0.5 * self.control_period))
         if not len(ready):
             return
-        landing = self._landings(angle[ready], flat[ready])
+        landing = self._landings(angle[ready], flat[ready], self._direction[ready])
         choice = choose(
             grasps.of(ready),
             angle[ready] - landing,
@@ -361,17 +383,18 @@ class CoordinatedGait(Controller):
         begin[ready], finger[ready] = choice.found, choice.finger
         aim = np.zeros(len(busy))
         aim[ready] = landing[np.arange(len(ready)), choice.finger]
-        direction = turned(self._neutral[rows, finger], aim, self.axis)
+        direction = turned(self._neutral[rows, finger], self._direction * aim, self.axis)
         radius = np.sqrt((flat[rows, finger] ** 2).sum(axis=-1))
         self.switch.begin(
             begin, finger, grasps.origin, landing_at(grasps.origin, direction, radius)
         )
 
-    def _landings(self, angle: Floats, flat: Floats) -> Floats:
+    def _landings(self, angle: Floats, flat: Floats, direction: Floats) -> Floats:
         """Where round the axis each finger of K hands would land, ``(K, m)`` [rad]."""
         radius = np.sqrt((flat * flat).sum(axis=-1))
         # how far behind each finger, against the rotation, each other one is
-        behind = azimuth(flat[:, None, :], flat[:, :, None], self.axis) % (2 * np.pi)
+        apart = azimuth(flat[:, None, :], flat[:, :, None], self.axis)
+        behind = direction[:, None, None] * apart % (2 * np.pi)
         behind[:, *np.diag_indices(flat.shape[1])] = np.inf
         nearest = behind.min(axis=2)
         room = angle - nearest + self.config.spacing / np.maximum(radius, 1e-9)

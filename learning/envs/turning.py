@@ -9,7 +9,7 @@ import numpy as np
 
 from dexctl.exceptions import InvalidInput
 from dexctl.rotations import inverse, multiply, rotate
-from dexctl.settings import Range, Vector
+from dexctl.settings import Names, Range, Vector
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import AXES, check_name, check_numbers, check_whole, unit_axis
 from learning.envs.task import Judgement, Step, Task
@@ -45,7 +45,7 @@ class TurningConfig:
     """Taken off in every step in which the object touches anything but fingertips [rad/s]."""
     end_on_links: bool = False
     """Whether the object counts as lost in training where it touches anything but fingertips."""
-    commands: tuple[str, ...] = ()
+    commands: Names = ()
     """Axes of which one after the other is drawn, in place of the one axis: x, y, z, -x, -y, -z, or
     any, which is any direction; the policy sees them in goal_angular_velocity."""
     command_seconds: float = 10.0
