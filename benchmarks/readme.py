@@ -32,6 +32,7 @@ HEADINGS = {
     "gaits": "Gaits",
     "gaits_long": "Gaits for ten minutes",
     "learned": "Learned gaits",
+    "reorientation": "Goal orientations and commanded axes",
     "learner": "Training throughput",
     "algorithms": "Algorithms and their peers",
     "hardware_grasp": "Simulator and servo bus",

@@ -89,7 +89,9 @@ class GoalGait(Controller):
     manipulation's, as far as the fingers reach: a goal that is tilted further than that is not
     reached. Then it is held there.
 
-    A state with a `goal_angular_velocity` and no goal orientation is turned so.
+    A state with a `goal_angular_velocity` and no goal orientation is turned so: about the gait's
+    axis without end, across it as far as the fingers reach. One that has neither is turned as the
+    gait turns it.
 
     Args:
         hand: the hand.
@@ -160,29 +162,31 @@ class GoalGait(Controller):
         return action
 
     def _act(self, state: GraspState) -> Floats:
+        goal, spin = state.goal_quaternion, state.goal_angular_velocity
+        if goal is None and self.config.goal is not None:
+            goal = np.tile(self.config.goal, (len(state.q), 1))
+        if goal is None and spin is None:
+            action = self.gait.command(state)
+            self._diagnostics = dict(self.gait.diagnostics)
+            return action
         now, place = state.object_quaternion, state.object_position
         if now is None or place is None:
-            raise InvalidInput("the state has no pose of the object; expected a tracked object")
+            raise InvalidInput(
+                "the state has a goal and no pose of the object; expected a tracked object"
+            )
         self._meet(now, place)
-        goal = state.goal_quaternion
-        if goal is None and self.config.goal is not None:
-            goal = np.tile(self.config.goal, (len(now), 1))
         axis, config = self.gait.axis, self.config
         upright = split_turn(multiply(self._upright, inverse(now)), axis)[0]
         if goal is not None:
             tilt, turn = self._towards(goal, now)
             # the gait needs the object upright
             tilt = np.where(self._turning[:, None], 0.0, tilt - upright)
-        elif state.goal_angular_velocity is not None:
-            height, across = split(state.goal_angular_velocity, axis)
+        else:
+            assert spin is not None
+            turn, across = split(spin, axis)
             # as far ahead as the grasp's regulation comes in a second, at its gain
             ahead = across / max(config.gait.in_grasp.tilt_gain, 1e-9)
-            tilt, turn = np.where(across.any(axis=1, keepdims=True), ahead - upright, 0.0), height
-        else:
-            raise InvalidInput(
-                "the state has neither goal_quaternion nor goal_angular_velocity, and the settings "
-                "have no goal; expected one of them"
-            )
+            tilt = np.where(across.any(axis=1, keepdims=True), ahead - upright, 0.0)
         step = shortened(upright + shortened(tilt, config.most_tilt), config.tilt_lead)
         self.gait.in_grasp.refer_to(self._place, multiply(from_rotation_vector(step), now))
         twist = np.zeros((len(now), 6))

@@ -25,6 +25,7 @@ _CONTROLLERS = {
     "switch": ("#b8860b", "-."),
     "gait": ("#cc4b7a", (0, (5, 2))),
     "coordinated": ("#0072b2", "-"),
+    "goal": ("#56b4e9", (0, (5, 2))),
     "learned": ("#5b3fa0", "-"),
     "hold": ("#7b8794", ":"),
 }

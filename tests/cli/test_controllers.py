@@ -73,7 +73,8 @@ def test_an_axis_turns_them_with_the_same_speed(name: str, dex5: dexctl.HandMode
     if name == "switch":
         assert other.config.axis == (0.0, -1.0, 0.0)
         return
-    grasp = {"igm": lambda config: config}.get(name, lambda config: config.in_grasp)
+    inner = {"igm": lambda config: config, "goal": lambda config: config.gait.in_grasp}
+    grasp = inner.get(name, lambda config: config.in_grasp)
     before, after = grasp(plain.config), grasp(other.config)
     assert after.twist == pytest.approx((0.0, 0.0, 0.0, 0.0, -before.twist[5], 0.0))
 
@@ -183,7 +184,13 @@ def test_a_policy_turns_about_the_axis_that_it_was_trained_with(dex5: dexctl.Han
 
 @pytest.mark.parametrize("name", OWN)
 def test_an_unknown_keyword_gets_the_known_ones(name: str, dex5: dexctl.HandModel) -> None:
-    known = {"hold": "axis", "igm": "grip_force", "switch": "pause", "gait": "in_grasp"}
+    known = {
+        "hold": "axis",
+        "igm": "grip_force",
+        "switch": "pause",
+        "gait": "in_grasp",
+        "goal": "gait",
+    }
     with pytest.raises(
         dexctl.InvalidInput, match=f"grip_froce.*{known.get(name, 'in_grasp')}"
     ) as error:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dexctl import ContactSwitch, Controller, FingerGaiting, GraspState, InGraspManipulation
-from dexctl.gait import CoordinatedGait
+from dexctl.gait import CoordinatedGait, GoalGait
 from dexctl.igm import InGraspManipulationConfig
 from dexctl.sim import BatchSimulator, Scene
 from dexctl.switch import GuardedSwitchConfig
@@ -29,6 +29,7 @@ CONTROLLERS: dict[str, Callable[..., Controller]] = {
     "gait, coordinated": lambda hand, **settings: CoordinatedGait(
         hand, least_travel=0.0, **settings
     ),
+    "gait, goal": GoalGait,
     "gait, planned": lambda hand, **settings: CoordinatedGait(
         hand, least_travel=0.0, switch=GuardedSwitchConfig(path="planned"), **settings
     ),

@@ -20,6 +20,9 @@ from dexctl.gait import (
     FingerGaiting,
     FingerGaitingChanges,
     FingerGaitingConfig,
+    GoalGait,
+    GoalGaitChanges,
+    GoalGaitConfig,
 )
 from dexctl.igm import (
     InGraspManipulation,
@@ -35,6 +38,7 @@ CONTROLLERS: list[tuple[Any, Any, Any]] = [
     (ContactSwitch, ContactSwitchConfig, ContactSwitchChanges),
     (FingerGaiting, FingerGaitingConfig, FingerGaitingChanges),
     (CoordinatedGait, CoordinatedGaitConfig, CoordinatedGaitChanges),
+    (GoalGait, GoalGaitConfig, GoalGaitChanges),
 ]
 
 
