@@ -56,6 +56,9 @@ class TrainConfig:
     """Seed of everything; the same seed and settings give the same policy on the same machine."""
     num_envs: int = 128
     """Environments stepped together."""
+    symmetry: bool = False
+    """Whether each transition that is learned from is turned by a symmetry of the hand that is
+    drawn for it (72 degrees on dex5); for sac and td3."""
     overlap: bool = True
     """Whether the environments step while the updates run; the policy that acts is then older by
     the updates of one step."""
@@ -81,6 +84,11 @@ class TrainConfig:
             log_every=1,
             checkpoint_every=1,
         )
+        if self.algorithm == "ppo" and self.symmetry:
+            raise InvalidInput(
+                "symmetry is True and algorithm is 'ppo', which keeps no transitions; expected sac "
+                "or td3"
+            )
         if self.algorithm == "ppo" and self.guidance.method != "rl":
             raise InvalidInput(
                 f"algorithm is 'ppo' and method {self.guidance.method!r}; ppo learns from its own "

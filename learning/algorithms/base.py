@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -70,6 +70,23 @@ class Cloning:
         ):  # fmt: skip
             if value not in known:
                 raise UnknownName(name, value, known)
+
+
+class Turns(Protocol):
+    """Symmetries of what is learned: observations and actions that are worth the same."""
+
+    @property
+    def elements(self) -> Sequence[Any]:
+        """The symmetries, the identity first."""
+        ...
+
+    def observation(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Observations ``(B, K)``, each turned by the element ``which`` ``(B,)``."""
+        ...
+
+    def action(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Actions ``(B, d)``, turned likewise."""
+        ...
 
 
 class Algorithm(ABC):

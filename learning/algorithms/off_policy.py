@@ -15,6 +15,7 @@ from learning.algorithms.base import (
     Cloning,
     Layers,
     Transitions,
+    Turns,
     columns,
 )
 from learning.algorithms.losses import cloning_weight
@@ -34,6 +35,7 @@ class OffPolicy(Algorithm):
         cloning: how these are imitated where `update` is given a ``beta`` above 0.
         seed: of weights, exploration and sampling.
         device: that the updates run on.
+        turns: symmetries that what is learned from is turned by, drawn anew each time.
     """
 
     overlaps: ClassVar[bool] = True
@@ -51,6 +53,7 @@ class OffPolicy(Algorithm):
         cloning: Cloning | None = None,
         seed: int = 0,
         device: str = "cpu",
+        turns: Turns | None = None,
     ) -> None:
         super().__init__()
         self.config, self.cloning, self.device = config, cloning or Cloning(), device
@@ -60,7 +63,7 @@ class OffPolicy(Algorithm):
         self.replay = Replay(
             config.buffer_size, num_envs=num_envs, observation_size=observation_size,
             action_size=action_size, labels=labels, n_step=config.n_step, gamma=config.gamma,
-            seed=seed, device=device,
+            seed=seed, device=device, turns=turns,
         )  # fmt: skip
 
         def width(part: slice) -> int:

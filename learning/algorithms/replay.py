@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from dexctl.exceptions import InvalidInput
-from learning.algorithms.base import Transitions
+from learning.algorithms.base import Transitions, Turns
 
 
 class Batch(NamedTuple):
@@ -52,6 +52,7 @@ class Replay:
             actions in between are whoever's acted, without correction.
         seed: of the sampling.
         device: of the batches.
+        turns: symmetries; each transition of a batch is turned by one that is drawn for it.
 
     Attributes:
         position: the row of steps that is written next.
@@ -70,6 +71,7 @@ class Replay:
         gamma: float = 0.99,
         seed: int = 0,
         device: str = "cpu",
+        turns: Turns | None = None,
     ) -> None:
         if capacity < num_envs:
             raise InvalidInput(
@@ -77,7 +79,7 @@ class Replay:
                 f"each of {num_envs} environments"
             )
         self.num_envs, self.labels, self.n_step, self.gamma = num_envs, labels, n_step, gamma
-        self.device = device
+        self.device, self.turns = device, turns
         k, d = observation_size, action_size
         edges = np.cumsum([0, k, k, d, 1, 1, 1, 1, d if labels else 0])
         self._columns = [slice(int(a), int(b)) for a, b in pairwise(edges)]
@@ -130,6 +132,13 @@ class Replay:
             last, reward, discount = self._ahead(flat, index)
             following, terminated = last[:, self._columns[1]], last[:, self._columns[4]]
         discount = discount * (1.0 - terminated)
+        if self.turns is not None:
+            which = self._rng.integers(0, len(self.turns.elements), batch_size)
+            observation, following = (
+                self.turns.observation(which, part) for part in (observation, following)
+            )
+            action = self.turns.action(which, action)
+            label = self.turns.action(which, label) if self.labels else label
         found = (
             observation, action, following, reward, discount, guided,
             label if self.labels else action,

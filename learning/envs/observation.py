@@ -56,7 +56,7 @@ class Observation:
         more: parts beside `PARTS` by name, a task's.
 
     Attributes:
-        parts, scaled: as given.
+        parts, scaled, centre: as given.
         size: k, the length of the vector.
         slices: where each part is.
         low, high: bounds of the numbers, ``(k,)``; infinite where there is none.
@@ -80,7 +80,7 @@ class Observation:
         own = self._own = [known[name] for name in self.parts]
         self.scaled = bool(scaled)
         self._hand = hand
-        self._centre = np.asarray(centre, float)
+        self.centre = np.asarray(centre, float)
         d, m = hand.nq, hand.n_fingers
         sizes = [part.size(d, m) for part in own]
         ends = np.cumsum(sizes)
@@ -119,9 +119,9 @@ class Observation:
         if name in ("q", "q_target"):
             return (value - self._middle) / self._half
         if name == "contact_position":  # a finger that does not touch stays zero
-            return (value - self._centre) * state.in_contact[..., None] / _LENGTH_SCALE
+            return (value - self.centre) * state.in_contact[..., None] / _LENGTH_SCALE
         if name == "object_position":
-            return (value - self._centre) / _LENGTH_SCALE
+            return (value - self.centre) / _LENGTH_SCALE
         if name == OBJECT_VELOCITY:
             return value / _VELOCITY_SCALE
         return value / _FORCE_SCALE if name in ("contact_force", FINGERTIP_FORCE) else value
@@ -132,7 +132,7 @@ class Observation:
             "version": VERSION,
             "parts": list(self.parts),
             "scaled": self.scaled,
-            "centre": self._centre.tolist(),
+            "centre": self.centre.tolist(),
         }
 
     @classmethod

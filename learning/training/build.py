@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
+from dexctl.state import Floats
 from learning.algorithms import Algorithm, Cloning, make
 from learning.config import TrainConfig
+from learning.envs.symmetry import Symmetry
+from learning.envs.tasks import NO_GOALS
 from learning.envs.vector import ManipulationVectorEnv, make_vector
 from learning.exploration.guide import Guide
 
@@ -30,9 +34,11 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
     """Who learns.
 
     Raises:
-        InvalidInput: there is no such device here.
+        InvalidInput: there is no such device here, or no symmetry that is asked for.
     """
-    guidance = config.guidance
+    guidance, more = config.guidance, {}
+    if config.symmetry:
+        more["turns"] = Symmetry(env.hand, env.observations, fixed_directions(env))
     return make(
         config.learner,
         groups=env.groups,
@@ -43,7 +49,18 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
         cloning=Cloning(kind=guidance.cloning, weight=guidance.cloning_weight),
         seed=config.seed,
         device=device(config.device),
+        **more,
     )
+
+
+def fixed_directions(env: ManipulationVectorEnv) -> Floats:
+    """Directions ``(k, 3)`` that what is worth what depends on, and that no observation tells."""
+    scenes = [group.scene for group in env.simulation.sim.groups]
+    found = [scene.gravity for scene in scenes]
+    task = env.config.task
+    if task.goals == "yaw" or (task.goals == NO_GOALS and not task.turning.commands):
+        found.append(np.array(task.direction))
+    return np.array(found)
 
 
 def device(name: str) -> str:

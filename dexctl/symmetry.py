@@ -1,0 +1,149 @@
+"""Symmetries of a hand: turns that bring it to itself, with its fingers in other places.
+
+Found from its kinematics. Whether the shapes of its links follow them is not looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dexctl.hand import HandModel, random_configurations
+from dexctl.rotations import multiply
+from dexctl.state import Floats, GraspState
+
+_TOLERANCE = 1e-6  # of fingertips [m], and of joint limits [rad]
+_MOST_FINGERS = 6  # the ways to place them are tried one by one
+_SAMPLES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class HandSymmetry:
+    """A turn about the hand frame's origin that brings the hand to itself.
+
+    Attributes:
+        rotation: ``(3, 3)``.
+        quaternion: the same, wxyz ``(4,)``.
+        fingers: finger i comes to where finger ``fingers[i]`` is, ``(m,)``.
+        joints: joint j's value becomes that of joint ``joints[j]``, ``(d,)``, ...
+        signs: ... times 1 or -1, ``(d,)``.
+    """
+
+    rotation: Floats
+    quaternion: Floats
+    fingers: NDArray[np.intp]
+    joints: NDArray[np.intp]
+    signs: Floats
+
+    def of_joints(self, values: Floats) -> Floats:
+        """Joint positions, set-points or their changes ``(..., d)``, turned."""
+        found = np.empty_like(values)
+        found[..., self.joints] = self.signs * values
+        return found
+
+    def of_fingers(self, values: np.ndarray) -> np.ndarray:
+        """What there is one of for each finger, ``(..., m)``, turned."""
+        found = np.empty_like(values)
+        found[..., self.fingers] = values
+        return found
+
+    def of_vectors(self, values: Floats) -> Floats:
+        """Vectors or points of the hand frame ``(..., 3)``, turned."""
+        return values @ self.rotation.T
+
+    def of_points(self, values: Floats) -> Floats:
+        """A vector or point for each finger, ``(..., m, 3)``, turned."""
+        found = np.empty_like(values)
+        found[..., self.fingers, :] = self.of_vectors(values)
+        return found
+
+    def of_orientations(self, values: Floats) -> Floats:
+        """Orientations wxyz ``(..., 4)``, turned."""
+        return multiply(np.broadcast_to(self.quaternion, values.shape), values)
+
+    def of_state(self, state: GraspState) -> GraspState:
+        """The state in which the same happens, turned."""
+        turned = {
+            "q": self.of_joints(state.q),
+            "q_target": self.of_joints(state.q_target),
+            "in_contact": self.of_fingers(state.in_contact),
+            "contact_position": self.of_points(state.contact_position),
+            "contact_normal": self.of_points(state.contact_normal),
+            "contact_force": self.of_fingers(state.contact_force),
+        }
+        for names, turn in (
+            (("object_position", "gravity", "goal_angular_velocity"), self.of_vectors),
+            (("object_quaternion", "goal_quaternion"), self.of_orientations),
+        ):
+            for name in names:
+                value = getattr(state, name)
+                if value is not None:
+                    turned[name] = turn(value)
+        return replace(state, **turned)
+
+
+def symmetries(hand: HandModel) -> tuple[HandSymmetry, ...]:
+    """All turns about the hand frame's origin that bring the hand to itself, the identity first.
+
+    Every way to place the fingers is tried, with every choice of which joints of a finger change
+    their sign; it is one where a turn (by least squares; Kabsch 1976) takes the fingertips of
+    random configurations to those of the configurations that belong to them, and the joints' limits
+    go along. Hands whose fingers share joints, have different numbers of them, or are more than six
+    have the identity only.
+    """
+    joints = hand.finger_joints
+    m, n = joints.shape
+    own = hand.moves.sum(axis=1)
+    identity = HandSymmetry(
+        np.eye(3), np.array([1.0, 0, 0, 0]), np.arange(m), np.arange(hand.nq), np.ones(hand.nq)
+    )
+    if hand.shares_joints or (own != n).any() or m > _MOST_FINGERS:
+        return (identity,)
+    q = random_configurations(hand, _SAMPLES, 0)
+    tips = hand.fingertip_positions(q)
+    found = []
+    for order in permutations(range(m)):
+        fingers = np.array(order)
+        for chosen in product((1.0, -1.0), repeat=n):
+            places, signs = np.empty(hand.nq, np.intp), np.empty(hand.nq)
+            places[joints] = joints[fingers]
+            signs[joints] = chosen
+            one = HandSymmetry(identity.rotation, identity.quaternion, fingers, places, signs)
+            if not _limits_fit(hand, one):
+                continue
+            there = hand.fingertip_positions(one.of_joints(q))[:, fingers]
+            rotation = _turn(tips.reshape(-1, 3), there.reshape(-1, 3))
+            if np.abs(tips @ rotation.T - there).max() < _TOLERANCE:
+                found.append(replace(one, rotation=rotation, quaternion=_quaternion(rotation)))
+    # the identity comes with the first order; what else leaves every fingertip in place is none
+    return (identity, *(one for one in found if (one.fingers != identity.fingers).any()))
+
+
+def _limits_fit(hand: HandModel, one: HandSymmetry) -> bool:
+    ends = np.sort(np.stack([one.of_joints(hand.lower), one.of_joints(hand.upper)]), axis=0)
+    return bool(np.allclose(ends, [hand.lower, hand.upper], rtol=0, atol=_TOLERANCE))
+
+
+def _turn(points: Floats, there: Floats) -> Floats:
+    """The rotation ``(3, 3)`` that takes points ``(k, 3)`` nearest to where they are to be."""
+    left, _, right = np.linalg.svd(there.T @ points)
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return left @ flip @ right
+
+
+def _quaternion(rotation: Floats) -> Floats:
+    """Wxyz ``(4,)``, w >= 0 (as the eigenvector of Bar-Itzhack 2000, sound for every angle)."""
+    m = rotation
+    k = np.array(
+        [
+            [m.trace(), m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [0.0, 2 * m[0, 0] - m.trace(), m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+            [0.0, 0.0, 2 * m[1, 1] - m.trace(), m[1, 2] + m[2, 1]],
+            [0.0, 0.0, 0.0, 2 * m[2, 2] - m.trace()],
+        ]
+    )
+    found = np.linalg.eigh(k, UPLO="U")[1][:, -1]
+    return found if found[0] >= 0 else -found

@@ -1,0 +1,124 @@
+"""Transitions turned by a hand's symmetries: what was learned from one also holds for the others.
+
+(Lin et al., Invariant transform experience replay, 2020; van der Pol et al., MDP homomorphic
+networks, 2020.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from dexctl.exceptions import InvalidInput
+from dexctl.hand import HandModel
+from dexctl.rotations import cross
+from dexctl.state import Floats
+from dexctl.symmetry import HandSymmetry, symmetries
+from learning.envs.observation import FINGERTIP_FORCE, OBJECT_VELOCITY, Observation
+
+_TOLERANCE = 1e-6
+Turned = Callable[[HandSymmetry, Floats], Floats]
+
+
+def _points(one: HandSymmetry, values: Floats) -> Floats:
+    each = values.reshape(len(values), len(one.fingers), 3)
+    return one.of_points(each).reshape(values.shape)
+
+
+def _orientations(one: HandSymmetry, values: Floats) -> Floats:
+    found = one.of_orientations(values)
+    return np.where(found[:, :1] < 0, -found, found)
+
+
+def _rotations(one: HandSymmetry, values: Floats) -> Floats:
+    """Of the first two columns of rotation matrices, ``(B, 6)``."""
+    x, y = values[:, :3], values[:, 3:]
+    matrix = np.stack([x, y, cross(x, y)], axis=-1)
+    return (one.rotation @ matrix @ one.rotation.T)[..., :2].swapaxes(1, 2).reshape(-1, 6)
+
+
+def _velocities(one: HandSymmetry, values: Floats) -> Floats:
+    return one.of_vectors(values.reshape(-1, 2, 3)).reshape(values.shape)
+
+
+_TURNED: dict[str, Turned] = {
+    "q": HandSymmetry.of_joints,
+    "q_target": HandSymmetry.of_joints,
+    "contact_position": _points,
+    "contact_normal": _points,
+    "contact_force": HandSymmetry.of_fingers,
+    "touch": HandSymmetry.of_fingers,
+    "object_position": HandSymmetry.of_vectors,
+    "object_quaternion": _orientations,
+    "gravity": HandSymmetry.of_vectors,
+    "goal_quaternion": _orientations,
+    "goal_rotation": _rotations,
+    "goal_angular_velocity": HandSymmetry.of_vectors,
+    OBJECT_VELOCITY: _velocities,
+    FINGERTIP_FORCE: _points,
+}
+
+
+class Symmetry:
+    """Turns observations and actions by the symmetries of a hand.
+
+    Args:
+        hand: the hand.
+        observations: the policy's and, behind it, the critics'.
+        fixed: directions ``(k, 3)`` that decide what is worth what and that no part tells: gravity,
+            an axis that is always the same. Only symmetries that leave them are taken.
+
+    Attributes:
+        elements: the symmetries, the identity first.
+
+    Raises:
+        InvalidInput: the hand has none that can be used, or a part cannot be turned.
+    """
+
+    def __init__(self, hand: HandModel, observations: Sequence[Observation], fixed: Floats) -> None:
+        centres = np.array([one.centre for one in observations])
+        self.elements = tuple(
+            one
+            for one in symmetries(hand)
+            if np.abs(one.of_vectors(fixed) - fixed).max(initial=0.0) < _TOLERANCE
+            and np.abs(one.of_vectors(centres) - centres).max() < _TOLERANCE
+        )
+        if len(self.elements) < 2:
+            raise InvalidInput(
+                f"symmetry is True, and the hand {hand.name!r} has no symmetry that leaves "
+                "gravity, the axis of the task and the place of the grasp as they are; expected "
+                "False"
+            )
+        self._parts: list[tuple[slice, Turned]] = []
+        start = 0
+        for one in observations:
+            for name, columns in one.slices.items():
+                if name not in _TURNED:
+                    raise InvalidInput(
+                        f"symmetry is True, and an observation has the part {name!r}, which cannot "
+                        "be turned; expected False, or another part"
+                    )
+                where = slice(start + columns.start, start + columns.stop)
+                self._parts.append((where, _TURNED[name]))
+            start += one.size
+
+    def observation(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Observations ``(B, K)``, each turned by the element that ``which`` ``(B,)`` says."""
+        found = values.copy()
+        for i, one in enumerate(self.elements[1:], start=1):
+            rows = which == i
+            if rows.any():
+                chosen = values[rows]
+                for columns, turn in self._parts:
+                    chosen[:, columns] = turn(one, values[rows][:, columns])
+                found[rows] = chosen
+        return found
+
+    def action(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Actions ``(B, d)``, turned likewise."""
+        found = values.copy()
+        for i, one in enumerate(self.elements[1:], start=1):
+            rows = which == i
+            found[rows] = one.of_joints(values[rows])
+        return found

@@ -1,0 +1,114 @@
+"""Observations and actions turned by a hand's symmetries, and learning from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl.exceptions import InvalidInput
+from dexctl.settings import changed
+from learning.config import TrainConfig
+from learning.envs import PARTS, Observation
+from learning.envs.symmetry import Symmetry
+
+UP = np.array([[0.0, 0.0, -9.81]])
+
+
+@pytest.fixture(scope="module")
+def state(dex5: dexctl.HandModel) -> dexctl.GraspState:
+    """Twenty hands with numbers of their own everywhere."""
+    random = np.random.default_rng(0)
+
+    def unit(*shape: int) -> np.ndarray:
+        vector = random.normal(size=shape)
+        return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+
+    touch = random.uniform(size=(20, 5)) < 0.7
+    return dexctl.GraspState(
+        q=random.uniform(dex5.lower, dex5.upper, (20, 15)),
+        q_target=random.uniform(dex5.lower, dex5.upper, (20, 15)),
+        in_contact=touch,
+        contact_position=random.normal(0.0, 0.1, (20, 5, 3)) * touch[..., None],
+        contact_normal=unit(20, 5, 3) * touch[..., None],
+        contact_force=random.uniform(size=(20, 5)) * touch,
+        object_position=random.normal(0.0, 0.1, (20, 3)),
+        object_quaternion=unit(20, 4),
+        gravity=random.normal(size=(20, 3)),
+        goal_quaternion=unit(20, 4),
+        goal_angular_velocity=random.normal(size=(20, 3)),
+    )
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_what_is_seen_of_a_turned_state_is_turned(
+    dex5: dexctl.HandModel, state: dexctl.GraspState, scaled: bool
+) -> None:
+    """Every part, of the policy and behind it of the critics, for all five turns at once."""
+    names = tuple(PARTS)
+    seen = [
+        Observation(dex5, parts, scaled=scaled, centre=(0.0, 0.0, 0.13))
+        for parts in (names, names[::-1])
+    ]
+    turns = Symmetry(dex5, seen, UP)
+    assert len(turns.elements) == 5
+    which = np.arange(20) % 5
+    values = np.concatenate([one(state) for one in seen], axis=1)
+    turned = turns.observation(which, values)
+    for k, one in enumerate(turns.elements):
+        rows = which == k
+        there = one.of_state(state[rows])
+        expected = np.concatenate([look(there) for look in seen], axis=1)
+        np.testing.assert_allclose(turned[rows], expected, atol=2e-6)
+    action = np.random.default_rng(1).uniform(-1, 1, (20, 15))
+    np.testing.assert_array_equal(
+        turns.action(which, action)[7], turns.elements[2].of_joints(action[7])
+    )
+
+
+def test_what_cannot_be_turned_is_refused(dex5: dexctl.HandModel) -> None:
+    seen = [Observation(dex5, ("q",))]
+    with pytest.raises(InvalidInput, match="symmetry is True, and the hand 'dex5' has no symmetry"):
+        Symmetry(dex5, seen, np.array([[1.0, 0.0, 0.0]]))
+    with pytest.raises(InvalidInput, match="symmetry is True, and the hand"):
+        Symmetry(dex5, [Observation(dex5, ("q",), centre=(0.02, 0.0, 0.1))], UP)
+    with pytest.raises(InvalidInput, match="symmetry is True and algorithm is 'ppo'"):
+        changed(TrainConfig(), {"symmetry": True, "algorithm": "ppo", "method": "rl"})
+
+
+def test_a_batch_to_learn_from_is_turned(dex5: dexctl.HandModel, state: dexctl.GraspState) -> None:
+    """Each of a batch is a kept transition or one of its turns, all parts by the same turn."""
+    pytest.importorskip("torch", reason="needs the extra 'learning'")
+    from learning.algorithms.base import Transitions
+    from learning.algorithms.replay import Replay
+
+    look = Observation(dex5, ("q", "contact_position", "goal_rotation"), scaled=True)
+    turns = Symmetry(dex5, [look], UP)
+    first, then = look(state), look(replace(state, q=0.9 * state.q))
+    options: Any = {"num_envs": 20, "observation_size": look.size, "action_size": 15}
+    replay = Replay(20, **options, labels=True, turns=turns)
+    action = state.q[:, ::-1] / 3.0
+    none = np.zeros(20, bool)
+    replay.add(Transitions(first, action, np.arange(20.0), then, none, none, ~none, -action))
+    batch = replay.sample(300)
+    used = set()
+    for i in range(300):
+        row = int(batch.reward[i])
+        every = [
+            k
+            for k in range(5)
+            if np.allclose(
+                batch.observation[i], turns.observation(np.array([k]), first[[row]])[0], atol=1e-5
+            )
+        ]
+        assert len(every) == 1
+        which = np.array(every)
+        used.add(every[0])
+        for found, value in ((batch.action, action), (batch.guide_action, -action)):
+            np.testing.assert_allclose(found[i], turns.action(which, value[[row]])[0], atol=1e-6)
+        following = turns.observation(which, then[[row]])[0]
+        np.testing.assert_allclose(batch.next_observation[i], following, atol=1e-5)
+    assert used == set(range(5))
