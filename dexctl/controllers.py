@@ -5,10 +5,13 @@ dexctl's own stand in a table. Other packages add theirs through the entry-point
 control_period=..., **options)``, without ``control_period`` where the controller may choose, and
 returns the `Controller`. One that names a keyword ``axis`` can be told about which axis to turn the
 object; any other turns about z. It is loaded when it is made, not before.
+
+A controller that needs a file has it after its name: ``planned:tree.npz``.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -67,6 +70,7 @@ class ControllerEntry:
         title: what people read.
         description: one line.
         module, attribute: where the class is.
+        file: the keyword that takes the file that stands after the name and a colon; "": none does.
     """
 
     name: str
@@ -74,6 +78,7 @@ class ControllerEntry:
     description: str
     module: str
     attribute: str
+    file: str = ""
 
     def load(self) -> Callable[..., Controller]:
         """The controller's class, or what another package registered in its place.
@@ -122,6 +127,14 @@ _CONTROLLERS = {
             description="brings the object to a goal orientation: gaits about one axis, then tilts",
             module="dexctl.gait",
             attribute="GoalGait",
+        ),
+        ControllerEntry(
+            name="planned",
+            title="planned gait",
+            description="follows a tree of grasps, planned:FILE, that dexctl plan has grown",
+            module="dexctl.planning.following",
+            attribute="PlannedGait",
+            file="tree",
         ),
         ControllerEntry(
             name="hold",
@@ -174,15 +187,32 @@ def names() -> tuple[str, ...]:
 
 
 def entry(name: str) -> ControllerEntry:
-    """What is known of a controller by name.
+    """What is known of a controller by name, a file after it or not.
 
     Raises:
         UnknownName: no such controller.
     """
     known = _known()
-    if name not in known:
+    if not is_named(name):
         raise UnknownName("controller", name, known)
-    return known[name]
+    return known[_split(name)[0]]
+
+
+def is_named(name: str) -> bool:
+    """Whether it is one of `names`, with a file after it where that controller takes one."""
+    found = _known().get(_split(name)[0])
+    return found is not None and (found.name == name or bool(found.file))
+
+
+def label(name: str) -> str:
+    """A controller's name as part of a folder's: a file after it has slashes."""
+    return re.sub(r"[^\w.-]+", "-", name)
+
+
+def _split(name: str) -> tuple[str, str]:
+    """The name of a controller, and the file after it."""
+    plain, _, file = str(name).partition(":")
+    return plain, file
 
 
 def make(
@@ -196,7 +226,7 @@ def make(
     """The controller ``name`` for ``hand``.
 
     Args:
-        name: one of `names`.
+        name: one of `names`, with a file after it where it takes one (``planned:tree.npz``).
         hand: the hand.
         control_period: time between two calls of ``act`` [s]; None: what the controller's class
             takes by itself, such as the one that a policy was trained with.
@@ -214,6 +244,11 @@ def make(
     found = entry(name)
     kind = found.load()
     taken, more = _keywords(kind)
+    file = _split(name)[1]
+    if file:
+        options[found.file] = file
+    elif found.file and found.file not in options:
+        raise InvalidInput(f"controller {name!r} needs a file; expected {name}:FILE")
     if control_period is not None:
         options["control_period"] = control_period
     if axis is not None:
@@ -252,8 +287,8 @@ def resolve(
     """The controller that a word on the command line means.
 
     Args:
-        name: a controller by name (`names`), a policy by name (``dex5-cylinder``), a policy file
-            (``.npz``), a run folder, or ``module:function``, which is called as
+        name: a controller by name, as `make` takes it, a policy by name (``dex5-cylinder``), a
+            policy file (``.npz``), a run folder, or ``module:function``, which is called as
             ``function(hand, control_period=..., axis=...)``, without what is None; one that takes
             no axis turns about z.
         hand: the hand.
@@ -268,7 +303,7 @@ def resolve(
             something else than a controller.
         RoomShadowed: it needs a package of dexctl's that another one shadows.
     """
-    if name in names() and name != POLICIES:
+    if is_named(name) and name != POLICIES:
         return make(name, hand, control_period=control_period, axis=axis)
     is_path = name.endswith(".npz") or Path(name).expanduser().is_dir()
     if ":" in name and not is_path:

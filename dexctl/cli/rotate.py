@@ -45,8 +45,9 @@ class Rotate:
     """
 
     controller: str = "coordinated"
-    """Name of the controller (igm, switch, gait, coordinated, hold), or a policy: learned, its name
-    (dex5-cylinder), its file (.npz), its run folder; or module:function."""
+    """Name of the controller (igm, switch, gait, coordinated, hold; planned:FILE follows a tree of
+    dexctl plan), or a policy: learned, its name (dex5-cylinder), its file (.npz), its run folder;
+    or module:function."""
     axis: Vector = "z"
     """Of the hand, about which the object is turned: x, y, z, -x, -y, -z, or x,y,z."""
     seconds: float = 10.0

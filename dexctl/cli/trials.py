@@ -95,7 +95,7 @@ def make_controller(
         SimulationError: the hand cannot be driven by that controller.
     """
     about = unit_axis(axis)
-    known = name in controllers.names()
+    known = controllers.is_named(name)
     own = known and controllers.entry(name).module.startswith("dexctl.")
     period = config.control_period if own else None
     try:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +15,7 @@ from dexctl.gait.selection import Grasps, holds_without
 from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
 from dexctl.limits import SetPointLimits
+from dexctl.saved import fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.config import GuardedSwitchConfig
 from dexctl.switch.guarded import GuardedSwitch, Phase
@@ -88,14 +91,16 @@ class Macro(Controller):
         twist: ArrayLike,
         finger: ArrayLike | None = None,
         landing: Landing | None = None,
+        mask: Bools | None = None,
     ) -> None:
-        """Begin a piece in every hand; what was under way is given up.
+        """Begin a piece in every hand, or in those of ``mask``; what was under way is given up.
 
         Args:
             state: of N hands, tracked.
             twist: of the object, (linear [m/s], angular [rad/s]), ``(N, 6)``.
             finger: which one each hand switches, ``(N,)``, -1 for none; None: none at all.
             landing: where it comes down, N rows; those without a finger are not read.
+            mask: ``(N,)``; the other hands go on with what they are at. None: every hand.
 
         Raises:
             InvalidInput: shapes that do not belong together, a finger that there is not, or an
@@ -117,12 +122,39 @@ class Macro(Controller):
             )
         if state.object_position is None:
             raise InvalidInput("the state has no pose of the object; expected a tracked object")
-        self.twist = wanted
-        self.switch.start(count)
+        if mask is None or len(self.switch.phase) != count:
+            self.switch.start(count)
+            self.twist = wanted
+        else:
+            self.switch.clear(mask)
+            self.twist = np.where(mask[:, None], wanted, self.twist)
+        begun = np.asarray(chosen >= 0)
         if landing is not None:
             self.switch.begin(
-                np.asarray(chosen >= 0), chosen, np.asarray(state.object_position), landing
+                begun if mask is None else begun & mask,
+                chosen,
+                np.asarray(state.object_position),
+                landing,
             )
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed(
+            in_grasp=self.in_grasp.state_dict(),
+            switch=self.switch.state_dict(),
+            twist=self.twist.copy(),
+        )
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        parts = self._parts(saved, "in_grasp", "switch", "twist")
+        self.in_grasp.load_state_dict(parts["in_grasp"])
+        self.switch.load_state_dict(parts["switch"])
+        twist = np.zeros_like(self.twist, shape=(max(len(self.switch.phase), 1), 6))
+        fill("a macro", {"twist": twist}, parts)
+        self.twist = twist
+
+    def aim(self, origin: Floats, landing: Landing) -> None:
+        """Let switches under way come down elsewhere: `GuardedSwitch.aim`."""
+        self.switch.aim(origin, landing)
 
     @property
     def busy(self) -> Bools:

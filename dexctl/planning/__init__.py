@@ -2,6 +2,11 @@
 
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
+from dexctl.planning.following import (
+    PlannedGait,
+    PlannedGaitChanges,
+    PlannedGaitConfig,
+)
 from dexctl.planning.grow import Progress, grow
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.holding import holding
@@ -11,6 +16,7 @@ from dexctl.planning.metric import Metric
 from dexctl.planning.nodes import Frame, Nodes
 from dexctl.planning.processes import grow_in_processes
 from dexctl.planning.random_actions import RandomActions
+from dexctl.planning.route import Route
 from dexctl.planning.sampling import GraspSampling, SampledGrasps, sample_grasps
 from dexctl.planning.stability import Stability
 from dexctl.planning.starts import path_states
@@ -27,9 +33,13 @@ __all__ = [
     "Metric",
     "Nodes",
     "Offspring",
+    "PlannedGait",
+    "PlannedGaitChanges",
+    "PlannedGaitConfig",
     "Problem",
     "Progress",
     "RandomActions",
+    "Route",
     "SampledGrasps",
     "Stability",
     "Tree",

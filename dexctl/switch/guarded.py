@@ -150,6 +150,16 @@ class GuardedSwitch:
         self._landing.normal[mask] = landing.normal[mask]
         self._anchor[mask] = origin[mask]
 
+    def aim(self, origin: Floats, landing: Landing) -> None:
+        """Let the switches under way come down elsewhere than `begin` said, N rows each.
+
+        Landings that turn with the object are given anew at each step; `origin` as in `begin`.
+        """
+        mask = self.phase != Phase.IDLE
+        self._landing.tip[mask] = landing.tip[mask]
+        self._landing.normal[mask] = landing.normal[mask]
+        self._anchor[mask] = origin[mask]
+
     def command(
         self,
         state: GraspState,

@@ -55,8 +55,8 @@ class Run(HandOptions):
     """
 
     controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER")]
-    """igm, switch, gait, coordinated, hold, sine, chirp; a policy's name, file or run;
-    module:function."""
+    """igm, switch, gait, coordinated, planned:FILE, hold, sine, chirp; a policy's name, file or
+    run; module:function."""
     seconds: float = 30.0
     """How long the controller runs [s]."""
     rate: float | None = None
@@ -218,7 +218,7 @@ def make_controller(name: str, model: HandModel, rate: float | None = None) -> C
 
 def _usual_period(name: str) -> float | None:
     """None for policies and controllers of other packages, which may have a rate of their own."""
-    known = name in controllers.names()
+    known = controllers.is_named(name)
     own = known and controllers.entry(name).module.startswith("dexctl.")
     return PERIOD if own or ":" in name else None
 

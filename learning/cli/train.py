@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import Switch, given
+from dexctl.controllers import label
 from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.settings import NESTED, absolute, difference, to_plain
 from learning.config import TrainConfig, recipe
@@ -88,7 +89,8 @@ class Train:
     def _folder(self) -> Path:
         """Where the run goes, by what it does."""
         config = self.config
-        words = (config.guidance.method, *config.guides, *config.env.scene.object, config.seed)
+        guides = map(label, config.guides)
+        words = (config.guidance.method, *guides, *config.env.scene.object, config.seed)
         return Path("runs") / "-".join(map(str, words))
 
 

@@ -132,7 +132,8 @@ def open_subject(
             parts, or a card that this version cannot read.
     """
     path = Path(name).expanduser()
-    if path.is_dir() or name.endswith(".npz") or name in names():
+    policy = path.is_dir() or name.endswith(".npz") or name in names()
+    if policy and not controllers.is_named(name):
         folder = RunFolder(path) if path.is_dir() else None
         if folder is not None and not folder.config_path.exists():
             raise InvalidInput(f"{name!r} is no run folder: it has no {folder.config_path.name}")

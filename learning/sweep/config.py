@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from dexctl import settings
+from dexctl.controllers import label
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import from_plain, to_plain
 from learning.config import TrainConfig
@@ -32,7 +33,7 @@ class Cell:
     @property
     def name(self) -> str:
         """As its run folders begin."""
-        return "-".join((self.method, *self.controllers))
+        return "-".join((self.method, *map(label, self.controllers)))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,17 @@ import pytest
 from dexctl import ContactSwitch, Controller, FingerGaiting, GraspState, InGraspManipulation
 from dexctl.gait import CoordinatedGait, GoalGait
 from dexctl.igm import InGraspManipulationConfig
+from dexctl.planning import Kinematic, PlannedGait, Tree, grow
 from dexctl.sim import BatchSimulator, Scene
 from dexctl.switch import GuardedSwitchConfig
+
+
+@cache
+def planned_tree() -> Tree:
+    """A turn of a radian, for a controller that follows it."""
+    scene = Scene.build("dex5", "cylinder", "down")
+    return grow(scene, Kinematic(batch=64), until_rotation=1.0, seed=0)
+
 
 # quick to act, so that a few seconds show all that they do
 CONTROLLERS: dict[str, Callable[..., Controller]] = {
@@ -33,6 +43,7 @@ CONTROLLERS: dict[str, Callable[..., Controller]] = {
     "gait, planned": lambda hand, **settings: CoordinatedGait(
         hand, least_travel=0.0, switch=GuardedSwitchConfig(path="planned"), **settings
     ),
+    "tree followed": lambda hand, **settings: PlannedGait(hand, planned_tree(), **settings),
 }
 
 
