@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from dexctl.cli.checks import make_folder
+from dexctl.cli.hands_grasp import Turning, chosen, suggestions
 from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
@@ -21,8 +22,9 @@ if TYPE_CHECKING:
     from dexctl.hand import HandModel
     from dexctl.sim import Scene
 
-OBJECTS = ("cube", "sphere")
-"""What a hand is to hold where nobody says: the first that it holds palm up and palm down."""
+OBJECTS = ("cube", "sphere", "cylinder")
+"""What a hand may be to hold where nobody says: the one that it turns furthest."""
+_SOFT = 0.75  # share of the stiffness that a joint needs, below which it gets that
 
 
 @dataclass(kw_only=True)
@@ -43,13 +45,16 @@ class Add:
     base: str | None = None
     """Only what hangs on this body; for files of several hands, or of a hand on an arm."""
     object: str | None = None
-    """Name of the object that it is to hold; none: a cube, or a sphere where that does not hold."""
+    """Name of the object that it is to hold; none: of cube, sphere and cylinder the one that the
+    coordinated gait turns furthest."""
     object_size: float | None = None
     """Width of that object [m]; none: found."""
     seed: int = 0
     """Seed of the search for the grasp."""
     grasp: bool = True
     """Whether to search a grasp."""
+    turning: Turning = field(default_factory=Turning)
+    """How the grasps that are found are tried with the coordinated gait."""
     replace: Switch = False
     """Replace a toml that is there already."""
     json: Switch = False
@@ -122,26 +127,26 @@ class Add:
         """The configuration with a grasp and the gains that it was found with."""
         from dexctl.sim import Scene
 
-        console, failure, best = notes(), None, None
-        for name in (self.object,) if self.object else OBJECTS:
-            console.print(f"dexctl: searching how to hold a {name}", markup=False)
-            try:
-                found = Scene.suggest_grasp(
-                    hand, name, object_size=self.object_size, seed=self.seed, count=1
-                )[0]
-            except SimulationError as error:
-                failure = failure or error
-                continue
-            if best is None or (found.held_up and found.held_down):
-                best = found
-            if found.held_up and found.held_down:
-                break
-        if best is None:
-            assert failure is not None
-            raise failure
-        console.print(f"dexctl: {best.note}", markup=False)
+        def say(text: str) -> None:
+            notes().print(f"dexctl: {text}", markup=False)
+
+        stiffer = stiffened(hand)
+        if stiffer:
+            config = replace(config, servos=replace(config.servos, stiffness=stiffer))
+            hand = config.build()
+            reasons["servos.stiffness"] = (
+                "Too soft in the file to press with 2 N where the set-point is 0.1 rad ahead."
+            )
+            say(f"servos stiffened: {', '.join(stiffer)}")
+        objects = (self.object,) if self.object else OBJECTS
+        count = max(1, self.turning.grasps)
+        grasps = suggestions(
+            hand, objects, size=self.object_size, seed=self.seed, count=count, say=say
+        )
+        best, turned = chosen(hand, config, grasps, self.turning, self.seed, say)
         config = best.applied(config, hand.joint_names)
-        reasons["object"] = f"Found by search and held in the simulator: {best.note}."
+        held = best.note if turned is None else f"{best.note}; {turned.note}"
+        reasons["object"] = f"Found by search and held in the simulator: {held}."
         reasons["postures.open"] = "From here the fingers close on the object."
         reasons["postures.grasp"] = "The fingertips about to touch the object."
         scene = Scene.build(config.build(), best.object)
@@ -150,6 +155,20 @@ class Add:
             reasons["servos"] = "The file has no position servos: " + "; ".join(scene.notes)
             scene = Scene.build(config.build(), best.object)
         return config, scene
+
+
+def stiffened(hand: HandModel) -> dict[str, float]:
+    """Joints whose servos in the file are too soft for a grasp, and the stiffness they need."""
+    from dexctl.sim import Scene
+    from dexctl.sim.hand_spec import propose_servos
+
+    need = propose_servos(hand).least
+    found = Scene.build(hand, object_size=0.05, grasp_centre=(0.0, 0.0, 10.0)).stiffness
+    return {
+        name: float(f"{wanted:.3g}")
+        for name, wanted, there in zip(hand.joint_names, need, found, strict=True)
+        if there < _SOFT * wanted
+    }
 
 
 def _servos(scene: Scene, before: ServoConfig) -> ServoConfig:

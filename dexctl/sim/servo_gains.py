@@ -31,11 +31,13 @@ class ServoGains(NamedTuple):
         damping: ``(d,)`` [N m s/rad].
         armature: what the joint's inertia lacks for the stiffness at `BANDWIDTH`: the rotor of a
             geared motor as the joint feels it, ``(d,)`` [kg m^2].
+        least: stiffness below which the joint sags or presses too little, ``(d,)`` [N m/rad].
     """
 
     stiffness: Floats
     damping: Floats
     armature: Floats
+    least: Floats
 
 
 def proposed_gains(
@@ -70,14 +72,15 @@ def proposed_gains(
     kinds = [int(model.joint(name).type[0]) for name in hand.joint_names]
     unit = np.where(np.array(kinds) == int(mujoco.mjtJoint.mjJNT_SLIDE), _LEVER, 1.0)
     held = [np.linalg.norm(weight, axis=0) / (SAG * unit), PRESSING * lever / (BEHIND * unit)]
-    wanted = np.max([inertia * fastest, *held], axis=0)
+    least = np.max(held, axis=0)
+    wanted = np.maximum(inertia * fastest, least)
     k = np.where(np.isnan(stiffness), wanted, stiffness)
     armature = np.maximum(k / fastest - inertia, 0.0)
     columns = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
     own = np.reshape(model.dof_damping[columns], (hand.nq, -1))[:, 0]
     own = np.where(own > SLUGGISH * k, 0.0, own)  # which `add_servos` leaves out
     critical = np.maximum(2 * np.sqrt(k * (inertia + armature)) - own, 0.0)
-    return ServoGains(k, np.where(np.isnan(damping), critical, damping), armature)
+    return ServoGains(k, np.where(np.isnan(damping), critical, damping), armature, least)
 
 
 def link_inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:

@@ -1,0 +1,158 @@
+"""The grasp that ``dexctl hands add`` proposes: of those suggested, the one turned furthest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from dexctl.exceptions import SimulationError
+from dexctl.hand_config import HandConfig
+from dexctl.validation import check_numbers, check_whole
+
+if TYPE_CHECKING:
+    from dexctl.hand import HandModel
+    from dexctl.sim import SuggestedGrasp
+
+LEAST_FINGERS = 4
+"""A gait lifts one finger while three hold."""
+_PALM_DOWN = 0.5  # what a turn palm down counts beside one palm up
+
+
+@dataclass(frozen=True, kw_only=True)
+class Turning:
+    """How suggested grasps are tried with the coordinated gait: all in short, the best longer."""
+
+    grasps: int = 5
+    """Of each object; 0: none is tried, and the one of the highest score is taken."""
+    screening: float = 8.0
+    """Simulated, each trial of every grasp, palm up [s]."""
+    finalists: int = 4
+    """Of all objects together, which are tried again palm up and palm down."""
+    seconds: float = 25.0
+    """Simulated, each trial of these [s]."""
+    trials: int = 6
+    """Of each grasp, each way up."""
+
+    def __post_init__(self) -> None:
+        check_whole(self, grasps=0, finalists=1, trials=1)
+        check_numbers(self, positive=("screening", "seconds"))
+
+
+class Turned(NamedTuple):
+    """What the gait made of a grasp.
+
+    Attributes:
+        held: share of the trials that still hold the object, by palm.
+        rotation: median rotation up to the end or the drop, by palm [rad].
+        trials: of each palm.
+        seconds: of each [s].
+    """
+
+    held: dict[str, float]
+    rotation: dict[str, float]
+    trials: int
+    seconds: float
+
+    @property
+    def value(self) -> float:
+        """What grasps are compared by: turns that are held to the end, palm up before palm down."""
+        turns = {palm: self.held[palm] ** 2 * max(self.rotation[palm], 0.0) for palm in self.held}
+        return turns["up"] + _PALM_DOWN * turns.get("down", 0.0)
+
+    @property
+    def note(self) -> str:
+        """What came of it, in one line."""
+        parts = [
+            f"palm {palm} {self.rotation[palm]:.1f} rad, {round(self.held[palm] * self.trials)} of "
+            f"{self.trials} hold"
+            for palm in self.held
+        ]
+        return f"the coordinated gait, {self.seconds:g} s each: {'; '.join(parts)}"
+
+
+def suggestions(
+    hand: HandModel,
+    objects: Sequence[str],
+    *,
+    size: float | None,
+    seed: int,
+    count: int,
+    say: Callable[[str], None],
+) -> list[SuggestedGrasp]:
+    """Grasps of some objects, best scores first; those that hold both ways before others.
+
+    Raises:
+        SettleFailure, SimulationError: none of the objects is held.
+    """
+    from dexctl.sim import Scene
+
+    found: list[SuggestedGrasp] = []
+    failure: SimulationError | None = None
+    for name in objects:
+        say(f"searching how to hold a {name}")
+        try:
+            some = Scene.suggest_grasp(hand, name, object_size=size, seed=seed, count=count)
+        except SimulationError as error:
+            failure = failure or error
+            continue
+        found += some[:count]
+    if not found:
+        assert failure is not None
+        raise failure
+    return sorted(found, key=lambda one: (-min(one.time_up, one.time_down), -one.score.total))
+
+
+def turned(
+    config: HandConfig, name: str, palms: Sequence[str], trials: int, seconds: float, seed: int
+) -> Turned:
+    """Trials of the coordinated gait with the object as a hand's configuration says it."""
+    from dexctl.gait import CoordinatedGait
+    from dexctl.sim import SceneConfig, Simulation, run
+
+    hand = config.build()
+    held, rotation = dict.fromkeys(palms, 0.0), dict.fromkeys(palms, 0.0)
+    for palm in palms:
+        scene = SceneConfig(hand=str(config.description), object=(name,), gravity=palm)
+        try:
+            sim = Simulation(scene, trials, seed, hand=hand)
+        except SimulationError:  # with the digits of a toml, it does not settle
+            continue
+        with sim:
+            gait = CoordinatedGait(hand, control_period=scene.control_period)
+            sim.reset(seed)
+            gait.reset(seed)
+            trace = run(gait, sim, seconds)
+        held[palm] = float(trace.held[-1].mean())
+        rotation[palm] = float(np.median(trace.final_rotation))
+    return Turned(held, rotation, trials, seconds)
+
+
+def chosen(
+    hand: HandModel,
+    config: HandConfig,
+    grasps: Sequence[SuggestedGrasp],
+    how: Turning,
+    seed: int,
+    say: Callable[[str], None],
+) -> tuple[SuggestedGrasp, Turned | None]:
+    """The grasp that the gait turns furthest; without trials, or where none turns, the first."""
+
+    def trial(grasp: SuggestedGrasp, palms: Sequence[str], seconds: float) -> Turned:
+        found = grasp.applied(config, hand.joint_names)
+        return turned(found, grasp.object, palms, how.trials, seconds, seed)
+
+    able = [one for one in grasps if len(one.fingers) >= LEAST_FINGERS] if how.grasps else []
+    if not able:
+        return grasps[0], None
+    say(f"turning {len(able)} grasps with the coordinated gait")
+    first = [trial(one, ("up",), how.screening).value for one in able]
+    best: tuple[SuggestedGrasp, Turned | None] = grasps[0], None
+    for i in np.argsort(first, kind="stable")[::-1][: how.finalists]:
+        found = trial(able[i], ("up", "down"), how.seconds)
+        say(f"{able[i].note}; {found.note}")
+        if found.value > (best[1].value if best[1] else 0.0):
+            best = able[i], found
+    return best

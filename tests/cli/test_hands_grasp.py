@@ -1,0 +1,110 @@
+"""Which of the suggested grasps `dexctl hands add` writes down, and the servos with it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dexctl
+from dexctl.cli import hands_grasp
+from dexctl.cli.hands_add import stiffened
+from dexctl.cli.hands_grasp import Turned, Turning, chosen, turned
+from dexctl.exceptions import InvalidInput
+from dexctl.hand_config import HandConfig
+from dexctl.sim import SuggestedGrasp
+from dexctl.sim.grasp_score import GraspScore
+
+SCORE = GraspScore(
+    total=0.9, margin=4.0, spare=1.0, balance=1.0, isotropy=0.5, dexterity=0.05, reach=1.0,
+    swing=0.4, stiffness=300.0, clearance=0.01, fingers=4,
+)  # fmt: skip
+
+
+def grasp_of(hand: dexctl.HandModel, size: float, fingers: int = 4) -> SuggestedGrasp:
+    q = np.zeros(hand.nq)
+    names = hand.fingertip_names[:fingers]
+    return SuggestedGrasp("cube", np.zeros(3), size, 0.0, q, q, names, SCORE, 10.0, 10.0)
+
+
+def test_turns_count_as_far_as_they_are_held() -> None:
+    found = Turned({"up": 1.0, "down": 0.5}, {"up": 2.0, "down": 1.0}, trials=6, seconds=20.0)
+    assert found.value == pytest.approx(2.0 + 0.5 * 0.25 * 1.0)
+    assert found.note == (
+        "the coordinated gait, 20 s each: palm up 2.0 rad, 6 of 6 hold; palm down 1.0 rad, 3 of 6 "
+        "hold"
+    )
+    back = Turned({"up": 1.0}, {"up": -2.0}, trials=6, seconds=20.0)
+    assert back.value == 0.0
+
+
+def test_the_grasp_that_turns_furthest_is_chosen(
+    dex5: dexctl.HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of five grasps, one of three fingers, two get past the screening; the first of them turns."""
+    asked: list[tuple[float, tuple[str, ...], float]] = []
+    rotation = {0.04: 0.1, 0.05: 0.8, 0.06: 0.9, 0.07: 0.3}
+
+    def trial(
+        config: HandConfig,
+        name: str,
+        palms: tuple[str, ...],
+        trials: int,
+        seconds: float,
+        seed: int,
+    ) -> Turned:
+        size = config.object.size
+        assert size is not None
+        asked.append((size, tuple(palms), seconds))
+        held = 0.5 if size == 0.06 else 1.0
+        turns = dict.fromkeys(palms, rotation[size] * seconds)
+        return Turned(dict.fromkeys(palms, held if len(palms) > 1 else 1.0), turns, trials, seconds)
+
+    monkeypatch.setattr(hands_grasp, "turned", trial)
+    grasps = [grasp_of(dex5, size) for size in rotation] + [grasp_of(dex5, 0.08, fingers=3)]
+    how = Turning(finalists=2, screening=5.0, seconds=20.0)
+    said: list[str] = []
+    best, found = chosen(dex5, dex5.config, grasps, how, seed=0, say=said.append)
+    assert [one for one in asked if one[1] == ("up",)] == [(s, ("up",), 5.0) for s in rotation]
+    final = [one for one in asked if one[1] == ("up", "down")]
+    assert final == [(0.06, ("up", "down"), 20.0), (0.05, ("up", "down"), 20.0)]
+    assert best.size == 0.05 and found is not None and found.held["down"] == 1.0
+    assert said[0] == "turning 4 grasps with the coordinated gait" and len(said) == 3
+    # without trials, and where no grasp has a finger to spare, the first is taken
+    for few, settings in ((grasps, replace(how, grasps=0)), (grasps[4:], how)):
+        best, found = chosen(dex5, dex5.config, few, settings, seed=0, say=said.append)
+        assert best is few[0] and found is None
+
+
+def test_trials_are_those_of_the_gait(dex5: dexctl.HandModel) -> None:
+    found = turned(dex5.config, "cylinder", ("up",), trials=2, seconds=2.0, seed=0)
+    assert found.held == {"up": 1.0}
+    assert 0.1 < found.rotation["up"] < 2.0
+    # what does not settle is held for no time
+    away = replace(dex5.config, object=replace(dex5.config.object, centre=(0.0, 0.0, 0.6)))
+    found = turned(away, "cube", ("down",), trials=1, seconds=1.0, seed=0)
+    assert found.held == {"down": 0.0} and found.rotation == {"down": 0.0}
+
+
+@pytest.mark.parametrize("changes", [{"trials": 0}, {"seconds": 0.0}, {"finalists": 0}])
+def test_settings_that_are_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(InvalidInput, match=next(iter(changes))):
+        Turning(**changes)  # pyright: ignore[reportArgumentType]
+
+
+def test_servos_too_soft_to_press_are_stiffened(dex5: dexctl.HandModel, tmp_path: Path) -> None:
+    assert stiffened(dex5) == {}
+    text = dex5.path.read_text()
+    assert len(re.findall('kp="3"', text)) == 1
+    path = tmp_path / "soft.xml"
+    path.write_text(text.replace('kp="3"', 'kp="0.5"'))
+    soft = replace(dex5.config, description=path).build()
+    found = stiffened(soft)
+    assert set(found) == set(dex5.joint_names)
+    # 2 N at the fingertip with the set-point 0.1 rad ahead, by the longest lever of the joint
+    tips = dex5.fingertip_positions(dex5.posture({}))
+    lever = np.linalg.norm(dex5.contact_jacobian(dex5.posture({}), tips), axis=1).max(axis=0)
+    assert list(found.values()) == pytest.approx((2.0 * lever / 0.1).tolist(), rel=0.01)
