@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 LEAST_FINGERS = 4
 """A gait lifts one finger while three hold."""
+_STAYS = 0.02  # how far from where it was grasped an object counts as held [m]
 _PALM_DOWN = 0.5  # what a turn palm down counts beside one palm up
 
 
@@ -25,15 +26,15 @@ _PALM_DOWN = 0.5  # what a turn palm down counts beside one palm up
 class Turning:
     """How suggested grasps are tried with the coordinated gait: all in short, the best longer."""
 
-    grasps: int = 5
+    grasps: int = 8
     """Of each object; 0: none is tried, and the one of the highest score is taken."""
     screening: float = 8.0
     """Simulated, each trial of every grasp, palm up [s]."""
     finalists: int = 4
     """Of all objects together, which are tried again palm up and palm down."""
-    seconds: float = 25.0
+    seconds: float = 40.0
     """Simulated, each trial of these [s]."""
-    trials: int = 6
+    trials: int = 8
     """Of each grasp, each way up."""
 
     def __post_init__(self) -> None:
@@ -125,7 +126,9 @@ def turned(
             sim.reset(seed)
             gait.reset(seed)
             trace = run(gait, sim, seconds)
-        held[palm] = float(trace.held[-1].mean())
+        away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
+        stays = trace.held[-1] & (away.max(axis=0) < _STAYS)  # does not lie on the palm
+        held[palm] = float(stays.mean())
         rotation[palm] = float(np.median(trace.final_rotation))
     return Turned(held, rotation, trials, seconds)
 

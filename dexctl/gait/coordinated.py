@@ -54,6 +54,9 @@ class CoordinatedGaitConfig:
     spacing: float = 0.036
     """Fingers land at least this far, round the object, from the one behind them [m]: one that
     comes down on its neighbour touches nothing else and pushes it off the object."""
+    level: float = 0.0
+    """Share of the height by which a finger touched above or below the object's centre that is
+    made up where it next lands: fingertips that are not round do not touch at their tip point."""
     pause: float = 0.1
     """Between two switches of a hand [s]."""
     friction: float = 0.8
@@ -78,6 +81,7 @@ class CoordinatedGaitConfig:
                 "hold_force",
                 "residual_weight",
             ),
+            fractions=("level",),
         )
         if not any(self.in_grasp.twist[3:]):
             raise InvalidInput(
@@ -86,7 +90,7 @@ class CoordinatedGaitConfig:
 
     @classmethod
     def suiting(cls, hand: HandModel) -> CoordinatedGaitConfig:
-        """What suits a hand: these defaults where five fingers hold; less speed, force and swing
+        """What suits a hand: these defaults where five fingers hold; less speed and short swings
         where four do, since three remain while one is lifted, and never further than
         ``hand.config.object.reach``.
         """
@@ -105,16 +109,22 @@ class CoordinatedGaitConfig:
         return replace(self, in_grasp=self.in_grasp.about(axis))
 
 
+_MOST_HEIGHT = 0.02  # between fingertip and contact [m]
 # measured on the Allegro and the LEAP hand (docs/what-helped.md)
 _FEW: dict[str, Any] = {
     "in_grasp": _turning(
         twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25),
-        grip_force=2.0,
-        stability_gain=0.01,
+        grip_force=3.0,
+        stability_gain=0.008,
         height_gain=1.0,
         centring_gain=1.0,
     ),
     "switch": GuardedSwitchConfig(unloaded_force=0.3, clearance=0.012),
+    "swing": 0.25,
+    "least_travel": 0.16,
+    "most_travel": 0.28,
+    "slow_down": 0.09,
+    "level": 0.5,
     "hold_force": 0.15,
     "residual_limit": 0.9,
 }
@@ -130,6 +140,7 @@ class CoordinatedGaitChanges(TypedDict, total=False):
     most_travel: float
     slow_down: float
     spacing: float
+    level: float
     pause: float
     friction: float
     hold_force: float
@@ -215,6 +226,7 @@ class CoordinatedGait(Controller):
         return {
             "fresh": self._fresh,
             "neutral": self._neutral,
+            "height": self._height,
             "wait": self._wait,
             "direction": self._direction,
         }
@@ -292,7 +304,9 @@ class CoordinatedGait(Controller):
         def may_lift(rows: np.ndarray, finger: np.ndarray) -> np.ndarray:
             return holds_without(grasps.of(rows), finger, self.config.friction)
 
+        placing = self.switch.phase == Phase.PLACE
         switching = self.switch.command(state, now, origin, may_lift)
+        self._level(placing & (self.switch.phase == Phase.LOAD), point - origin[:, None])
         switching = self._limits(state.q, state.q_target, switching)
         released = self.switch.released
         furthest = np.where(state.in_contact & ~released, angle, -np.inf).max(axis=1)
@@ -342,6 +356,7 @@ class CoordinatedGait(Controller):
         flat = split(tip[fresh] - centre[:, None], self.axis)[1]
         length = np.sqrt((flat * flat).sum(axis=-1, keepdims=True))
         self._neutral[fresh] = flat / np.maximum(length, 1e-9)
+        self._height[fresh] = 0.0
         self._wait[fresh] = 0.0
         self._direction[fresh] = 1.0
         self.switch.clear(fresh)
@@ -353,6 +368,7 @@ class CoordinatedGait(Controller):
         self._odometry.start(count)
         self._fresh = np.ones(count, bool)
         self._neutral = np.zeros((count, self.hand.n_fingers, 3))
+        self._height = np.zeros((count, self.hand.n_fingers))
         self._wait = np.zeros(count)
         self._direction = np.ones(count)
         return self._fresh
@@ -385,9 +401,16 @@ class CoordinatedGait(Controller):
         aim[ready] = landing[np.arange(len(ready)), choice.finger]
         direction = turned(self._neutral[rows, finger], self._direction * aim, self.axis)
         radius = np.sqrt((flat[rows, finger] ** 2).sum(axis=-1))
-        self.switch.begin(
-            begin, finger, grasps.origin, landing_at(grasps.origin, direction, radius)
-        )
+        middle = grasps.origin + self._height[rows, finger, None] * self.axis
+        self.switch.begin(begin, finger, grasps.origin, landing_at(middle, direction, radius))
+
+    def _level(self, landed: np.ndarray, lever: Floats) -> None:
+        """Have fingers that just landed come down nearer to the centre's height the next time."""
+        rows = np.flatnonzero(landed)
+        finger = self.switch.finger[rows]
+        missed = lever[rows, finger] @ self.axis
+        height = self._height[rows, finger] - self.config.level * missed
+        self._height[rows, finger] = np.clip(height, -_MOST_HEIGHT, _MOST_HEIGHT)
 
     def _landings(self, angle: Floats, flat: Floats, direction: Floats) -> Floats:
         """Where round the axis each finger of K hands would land, ``(K, m)`` [rad]."""

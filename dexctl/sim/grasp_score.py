@@ -248,11 +248,12 @@ def _links_clear(
     balls = search.workspace.balls
     where = balls.centres(q)
     out = np.ones(found.active.shape, bool)
+    fingers = range(search.workspace.hand.n_fingers)
     for i, place in enumerate(found.placement):
         turned = Placement(centre[i], place.size, place.yaw + float(moved[i, 5]))
         shape = search.shape.scaled(place.size)
         gap = shape.bound((where[i] - turned.centre) @ turned.turn) - balls.radius
-        for finger in range(out.shape[1]):
+        for finger in fingers:
             links = (balls.finger == finger) & ~balls.tip
             out[i, finger] = gap[links].min(initial=np.inf) > CLEAR
     return out

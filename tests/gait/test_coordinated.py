@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dexctl import GraspState
+from dexctl import GraspState, HandModel
 from dexctl.exceptions import InvalidInput
 from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
+from dexctl.gait.selection import Grasps
 from dexctl.grasp import is_force_closure
+from dexctl.hand_config import HeldObject
 from dexctl.igm import InGraspManipulationConfig
 from dexctl.sim import BatchSimulator, Scene
 from dexctl.sim.trial import Trace, rotation_about, run
@@ -249,3 +251,46 @@ def test_an_object_that_has_fallen_out_of_sight_is_no_error(cube):
         state, object_position=far, in_contact=state.in_contact & np.array([[True], [False]])
     )
     assert np.isfinite(CoordinatedGait(cube.hand).act(gone)).all()
+
+
+def test_landings_make_up_for_the_height_by_which_a_finger_missed_the_centre(cube: Scene) -> None:
+    sim = BatchSimulator(cube, 2)
+    gait = CoordinatedGait(cube.hand, level=0.5)
+    gait.act(sim.read())
+    lever = np.zeros((2, 5, 3))
+    lever[0, 1], lever[1, 3] = (0.03, 0.0, 0.01), (0.0, 0.03, 0.01)
+    gait.switch.finger[:] = (1, 3)
+    expected = np.zeros((2, 5))
+    for height in (-0.005, -0.01, -0.015, -0.02, -0.02):  # half of what it missed, within limits
+        gait._level(np.array([True, False]), lever)
+        expected[0, 1] = height
+        np.testing.assert_allclose(gait.state_dict()["met"]["height"], expected, atol=1e-15)
+    # the next landing is that much lower
+    state = sim.read()
+    flat = (state.contact_position - state.object_centre()[:, None]) * [1.0, 1.0, 0.0]
+    angle = np.where(np.arange(5) == 1, 0.6, 0.0) * np.ones((2, 1))
+    grasps = Grasps(
+        state.contact_position,
+        state.contact_normal,
+        state.in_contact,
+        state.in_contact,
+        np.asarray(state.object_position),
+    )
+    gait.switch.clear(np.ones(2, bool))
+    gait._wait[:] = 0.0
+    gait._begin(grasps, angle, flat)
+    assert gait.switch.finger.tolist() == [1, 1]
+    landing = gait.switch.state_dict()["landing_tip"]
+    np.testing.assert_allclose((landing - grasps.origin)[:, 2], [-0.02, 0.0], atol=1e-12)
+
+
+def test_what_suits_a_hand(dex5: HandModel, four_fingers: HandModel) -> None:
+    assert CoordinatedGaitConfig.suiting(dex5) == CoordinatedGaitConfig()
+    config = replace(four_fingers.config, description=four_fingers.path)
+    few = CoordinatedGaitConfig.suiting(replace(config, object=HeldObject()).build())
+    assert (few.swing, few.most_travel, few.level) == (0.25, 0.28, 0.5)
+    close = HeldObject(reach=0.2)
+    near = CoordinatedGaitConfig.suiting(replace(config, object=close).build())
+    found = (near.swing, near.most_travel, near.least_travel, near.slow_down)
+    assert found == pytest.approx((0.2, 0.22, 0.13, 0.07))
+    assert near.in_grasp == few.in_grasp and near.switch == few.switch
