@@ -10,7 +10,7 @@ from typing import Any
 
 from common import Figure, Settings, earlier, progress, settings, write
 
-from dexctl.settings import changed
+from dexctl.settings import Names, changed
 from learning.envs import ReorientationConfig, TaskConfig, TurningConfig
 from learning.envs.goals import GOALS, Goals
 from learning.evaluation import Subject, evaluate, open_subject
@@ -34,7 +34,7 @@ class Options(Settings):
     """Which."""
     goals: tuple[Goals, ...] = ("yaw", "cube", "uniform")
     """Kinds of goals."""
-    axes: tuple[str, ...] = AXES
+    axes: Names = AXES
     """Commanded axes; where a policy is not told of axes, none."""
 
 

@@ -232,7 +232,7 @@ def make(
             takes by itself, such as the one that a policy was trained with.
         axis: hand frame, ``(3,)``, about which the object is to be turned, at the speed that the
             controller's settings have; None keeps their axis, which is z by default. A trained
-            policy keeps the axis that it was trained with.
+            policy keeps the axis that it was trained with, unless that was commands.
         **options: what else the controller's class takes, settings among it.
 
     Raises:
@@ -294,7 +294,7 @@ def resolve(
         hand: the hand.
         control_period: time between two calls of ``act`` [s]; None: what the controller's class
             takes by itself, and a policy what it was trained with.
-        axis: see `make`. A policy turns about the axis that it was trained for.
+        axis: see `make`. A policy that was not trained with commands turns about its own.
 
     Raises:
         UnknownName: it is none of these.
@@ -314,7 +314,7 @@ def resolve(
         raise UnknownName("controller", name, (*names(), _FUNCTION))
     policy = None if name == POLICIES else name
     try:
-        return make(POLICIES, hand, control_period=control_period, policy=policy)
+        return make(POLICIES, hand, control_period=control_period, axis=axis, policy=policy)
     except UnknownName as error:
         if error.kind != "policy":
             raise

@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 from dexctl import hands
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 from dexctl.hand import HandModel
+from dexctl.validation import unit_axis
+from learning.envs.observation import TURNING
 from learning.policies.file import read, save
 from learning.policies.policy import Layer, Policy, PolicySpec, other_hand
 
@@ -34,6 +36,8 @@ def load(
     *,
     hand: HandModel | str | None = None,
     parts: Sequence[str] | None = None,
+    goal: ArrayLike | None = None,
+    angular_velocity: ArrayLike | None = None,
 ) -> Policy:
     """A policy, ready to run.
 
@@ -42,6 +46,7 @@ def load(
             card need not be beside a file.
         hand: the hand to run it on; None loads the one that it was trained on.
         parts: refuse a policy that was trained with other observation parts than these.
+        goal, angular_velocity: what is wanted where a state does not tell; see `Policy`.
 
     Raises:
         UnknownName: it is none of these, or there is no hand of that name.
@@ -55,7 +60,9 @@ def load(
     try:
         if parts is not None:
             spec.check_parts(parts)
-        return Policy(hands.load(spec.hand) if hand is None else hand, layers, spec, card)
+        model = hands.load(spec.hand) if hand is None else hand
+        wanted = {"goal": goal, "angular_velocity": angular_velocity}
+        return Policy(model, layers, spec, card, **wanted)
     except DexctlError as error:
         raise InvalidInput(f"policy {str(path)!r}: {error}") from None
 
@@ -74,7 +81,8 @@ def learned(
         control_period: must be the one that the policy was trained with [s]; None takes it.
         policy: what `load` takes; None is the first of `names` that was trained on a hand of this
             name, one for several objects before those for single ones.
-        axis: whichever; a policy turns about the axis that it was trained with.
+        axis: that the object is to be turned about, ``(3,)``, at the speed of the commands that the
+            policy was trained with; one that was not trained with commands turns about its own.
 
     Raises:
         UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.
@@ -90,12 +98,31 @@ def learned(
         own.sort(key=lambda name: not name.endswith("-easy"))
         policy = own[0]
     found = load(policy, hand=hand)
+    if axis is not None and TURNING in found.observation.parts:
+        spin = _commanded_speed(found) * np.array(unit_axis(axis))
+        found = load(policy, hand=hand, angular_velocity=spin)
     if control_period is not None and not np.isclose(control_period, found.control_period):
         raise InvalidInput(
             f"control_period is {control_period}; the policy {str(policy)!r} was trained with "
             f"{found.control_period}"
         )
     return found
+
+
+def _commanded_speed(policy: Policy) -> float:
+    """The middle of the speeds that a policy was trained to turn at [rad/s].
+
+    Raises:
+        InvalidInput: its card does not say.
+    """
+    try:
+        low, high = policy.card["trained"]["env"]["task"]["turning"]["command_speed_range"]
+        return 0.5 * (float(low) + float(high))
+    except (KeyError, TypeError, ValueError):
+        raise InvalidInput(
+            "the policy's card does not say at which speeds it was trained; expected "
+            "angular_velocity in place of axis"
+        ) from None
 
 
 def _path(name_or_path: str | Path) -> Path:

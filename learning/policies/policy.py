@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_action, check_state
+from dexctl.controller import UNIT_TOLERANCE, Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from dexctl.state import Floats, GraspState
+from dexctl.validation import numbers
 from learning.envs.action import SetPointAction
-from learning.envs.observation import Observation, check_parts
+from learning.envs.observation import ORIENTATIONS, TURNING, Observation, check_parts
 
 
 def _relu(x: Floats) -> Floats:
@@ -128,13 +130,17 @@ class Policy(Controller):
         layers: the perceptron.
         spec: what the layers are for.
         card: what trained them.
+        goal: orientation that the object is wanted in, wxyz ``(4,)``, where a state tells none.
+        angular_velocity: how the object is wanted to turn, ``(3,)`` [rad/s], where a state does not
+            tell; for policies that can be told.
 
     Attributes:
         spec, card: as given.
         observation, action: how observations and set-point changes are made.
 
     Raises:
-        InvalidInput: the layers do not fit the observation, the hand or each other.
+        InvalidInput: the layers do not fit the observation, the hand or each other, or the policy
+            was not trained to be told what is wanted.
     """
 
     def __init__(
@@ -143,6 +149,9 @@ class Policy(Controller):
         layers: Sequence[Layer],
         spec: PolicySpec,
         card: Mapping[str, Any] | None = None,
+        *,
+        goal: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
     ) -> None:
         super().__init__(hand, control_period=spec.action["control_period"])
         spec.check_hand(hand)
@@ -154,6 +163,29 @@ class Policy(Controller):
         self.action = SetPointAction(hand, **spec.action)
         self.layers = check_layers(layers, self.observation.size, hand.nq)
         self._activation = ACTIVATIONS[spec.activation]
+        self._wanted = {
+            "goal_quaternion": self._told("goal", goal, 4, ORIENTATIONS),
+            "goal_angular_velocity": self._told(
+                "angular_velocity", angular_velocity, 3, (TURNING,)
+            ),
+        }
+
+    def _told(
+        self, what: str, value: ArrayLike | None, size: int, parts: tuple[str, ...]
+    ) -> Floats | None:
+        if value is None:
+            return None
+        if not set(parts) & set(self.observation.parts):
+            raise InvalidInput(
+                f"{what} is {value}, and the policy, which observes "
+                f"{', '.join(self.observation.parts)}, was not trained to be told; expected None"
+            )
+        found = numbers(what, value, f"{size} finite numbers")
+        if found.shape != (size,) or not np.isfinite(found).all():
+            raise InvalidInput(f"{what} is {value}; expected {size} finite numbers")
+        if size == 4 and not abs(np.linalg.norm(found) - 1.0) <= UNIT_TOLERANCE:
+            raise InvalidInput(f"{what} is {value}; expected a unit quaternion, wxyz")
+        return found
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Nothing to forget: the policy has no memory."""
@@ -174,6 +206,12 @@ class Policy(Controller):
 
     def act(self, state: GraspState) -> Floats:
         check_state(self.hand, state)
+        told = {
+            name: np.broadcast_to(value, (*state.batch_shape, len(value)))
+            for name, value in self._wanted.items()
+            if value is not None and getattr(state, name) is None
+        }
+        state = replace(state, **told) if told else state
         action = self.predict(self.observation(state))
         self._diagnostics = {"action": action}
         return check_action(self.action.limited(state, self.action.to_change(action)))

@@ -47,7 +47,7 @@ RUNS: dict[str, list[str]] = {
     "bus.py": ["--cycles", "20", "--rounds", "2"],
     "hardware_loop.py": ["--cycles", "20", "--rounds", "2", "--seconds", "0.5", *PATIENT],
     "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
-    "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes", "x", "z"],
+    "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
 }
 
