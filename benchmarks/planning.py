@@ -11,29 +11,37 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 
 import numpy as np
-from common import FULL_TURN, Figure, Settings, progress, settings, share, write
+from common import FULL_TURN, PALMS, Figure, Settings, progress, settings, share, write
 
 from dexctl.exceptions import InvalidInput
 from dexctl.planning import (
     ControllerMacros,
     Expansion,
+    FollowedEdges,
     GraspSampling,
     Kinematic,
+    PlannedGait,
     Progress,
     RandomActions,
     Stability,
+    Tree,
     grow,
     holding,
     sample_grasps,
 )
-from dexctl.sim import Scene
+from dexctl.sim import Scene, SceneConfig, Simulation, run
 from dexctl.statistics import wilson
 
-PARTS = ("kinematic", "large", "controllers", "random", "literal", "ablations", "sampling")
+PARTS = (
+    "kinematic", "large", "controllers", "random", "literal", "ablations", "sampling", "following",
+    "verified",
+)  # fmt: skip
 EASY = ("cylinder", "cube")
 HARD = ("l_shape", "u_shape")
 
@@ -60,6 +68,12 @@ class Options(Settings):
     """Time of each of the literal loop, the ablations and the sampling [s]."""
     steps: int = 1_000_000
     """Physics steps of each tree where controllers and random actions are compared."""
+    trials: int = 64
+    """Of each gait that follows a tree."""
+    palms: tuple[str, ...] = PALMS
+    """Of trees that are followed."""
+    follow_seconds: float = 75.0
+    """Simulated time of those trials [s]."""
     checked: int = 512
     """Nodes of the large tree that are held in simulation."""
 
@@ -209,6 +223,54 @@ def sampling(given: Options) -> list[dict[str, Any]]:
     return rows
 
 
+def followed(part: str, scene: Scene, tree: Tree, seed: int, given: Options) -> dict[str, Any]:
+    """Trials of a gait that follows a tree; their seeds are none that anything was chosen by."""
+    palm = "up" if scene.gravity[2] < 0 else "down"
+    config = SceneConfig(object=(scene.object,), gravity=palm, threads=1)
+    gait, start = PlannedGait(scene.hand, tree), process_time()
+    first = 1000 + given.seed
+    with Simulation(config, given.trials, first, hand=scene.hand) as sim:
+        sim.reset(first)
+        gait.reset(first)
+        trace = run(gait, sim, given.follow_seconds)
+    turned = trace.final_rotation
+    found = {
+        "seed": seed, "nodes": len(tree), "cpu_s": process_time() - start,
+        "rotation_rad": float(np.median(turned)),
+        "rotations_rad": np.round(np.sort(turned), 2).tolist(),
+        "full_turn": share(turned >= FULL_TURN), "dropped": share(trace.dropped),
+        "tree_rotation_rad": float(tree.rotation.max()), "seconds": given.follow_seconds,
+    }  # fmt: skip
+    return row(part, scene, found)
+
+
+def following(given: Options) -> list[dict[str, Any]]:
+    """A gait that follows kinematic trees, closed loop."""
+    rows = []
+    for name, palm in product(given.hard, given.palms):
+        scene = Scene.build("dex5", name, palm)
+        tree = grown(scene, Kinematic(), given.seed, given.limit, until=FULL_TURN)["tree"]
+        rows.append(followed("following", scene, tree, given.seed, given))
+    return rows
+
+
+def verified(given: Options) -> list[dict[str, Any]]:
+    """The same after the trees' edges have been carried out by controllers."""
+    rows = []
+    for name, palm in product(given.hard, given.palms):
+        scene = Scene.build("dex5", name, palm)
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "tree.npz"
+            tree = grown(scene, Kinematic(), given.seed, given.limit, until=FULL_TURN)["tree"]
+            tree.save(path)
+            again = grow(
+                scene, FollowedEdges(tree=path), until_rotation=FULL_TURN, seconds=given.limit,
+                seed=given.seed, threads=1,
+            )  # fmt: skip
+        rows.append(followed("verified", scene, again, given.seed, given))
+    return rows
+
+
 MEASURE: dict[str, Callable[[Options], list[dict[str, Any]]]] = {
     "kinematic": kinematic,
     "large": large,
@@ -217,6 +279,8 @@ MEASURE: dict[str, Callable[[Options], list[dict[str, Any]]]] = {
     "literal": literal,
     "ablations": ablations,
     "sampling": sampling,
+    "following": following,
+    "verified": verified,
 }
 
 
@@ -283,6 +347,20 @@ def figures(rows: list[dict[str, Any]], given: Options) -> list[Figure]:
                 f"the thesis's check {rate['lazy']:.1f}",
                 "10 times",
                 bool(times >= 10),
+            )
+        )
+    for r in (*of["following"], *of["verified"]):
+        turn, dropped = r["full_turn"], r["dropped"]
+        kind = "a verified" if r["part"] == "verified" else "a kinematic"
+        target = (r["object"], r["palm"]) == ("l_shape", "up")
+        found.append(
+            Figure(
+                f"gait that follows {kind} tree, {r['object']}, palm {r['palm']}: 2 pi in "
+                f"{r['seconds']:g} s before a drop",
+                f"{turn['count']} of {turn['of']}, median {r['rotation_rad']:.1f} rad; dropped "
+                f"{dropped['count']}",
+                "half of them" if target else "",
+                bool(turn["share"] >= 0.5) if target else None,
             )
         )
     for name in dict.fromkeys(r["object"] for r in of["sampling"]):

@@ -21,6 +21,7 @@ from dexctl.planning import (
     Bounds,
     ControllerMacros,
     Expansion,
+    FollowedEdges,
     Kinematic,
     Metric,
     Progress,
@@ -52,7 +53,8 @@ class Plan:
 
     expand: str = "controllers"
     """How nodes are expanded: kinematic (contacts without physics: M-RRT), controllers (as actions,
-    in simulation) or random (changes of the set-points, in simulation: G-RRT)."""
+    in simulation), random (changes of the set-points, in simulation: G-RRT) or followed (edges of
+    a kinematic tree, carried out in simulation: verified)."""
     axis: Vector = "z"
     """Of the hand, about which the object is to be turned: x, y, z, -x, -y, -z, or x,y,z."""
     until_rotation: float | None = None
@@ -75,6 +77,7 @@ class Plan:
     kinematic: Kinematic = field(default_factory=Kinematic)
     controllers: ControllerMacros = field(default_factory=ControllerMacros)
     random: RandomActions = field(default_factory=RandomActions)
+    followed: FollowedEdges = field(default_factory=FollowedEdges)
     metric: Metric = field(default_factory=Metric)
     bounds: Bounds = field(default_factory=Bounds)
     stability: Stability = field(default_factory=Stability)
@@ -128,6 +131,7 @@ class Plan:
             "kinematic": self.kinematic,
             "controllers": self.controllers,
             "random": self.random,
+            "followed": self.followed,
         }
         if self.expand not in known:
             raise UnknownName("--expand", self.expand, known)

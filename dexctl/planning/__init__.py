@@ -2,11 +2,9 @@
 
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
-from dexctl.planning.following import (
-    PlannedGait,
-    PlannedGaitChanges,
-    PlannedGaitConfig,
-)
+from dexctl.planning.followed import FollowedEdges
+from dexctl.planning.following import PlannedGait
+from dexctl.planning.following_config import PlannedGaitChanges, PlannedGaitConfig
 from dexctl.planning.grow import Progress, grow
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.holding import holding
@@ -27,6 +25,7 @@ __all__ = [
     "ControllerMacros",
     "Expander",
     "Expansion",
+    "FollowedEdges",
     "Frame",
     "GraspSampling",
     "Kinematic",

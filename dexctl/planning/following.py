@@ -3,76 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_sound, check_state
 from dexctl.exceptions import InvalidInput
-from dexctl.gait import CoordinatedGaitConfig, Macro, MacroConfig
+from dexctl.gait import Macro
 from dexctl.grasp.odometry import ContactOdometry
 from dexctl.hand import HandModel
-from dexctl.planning.route import Route, wrapped
+from dexctl.planning.following_config import PlannedGaitChanges, PlannedGaitConfig
+from dexctl.planning.route import Indices, Route, wrapped
 from dexctl.planning.tree import Tree
 from dexctl.rotations import multiply
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.landing import Landing
-from dexctl.validation import check_kind, check_mask, check_numbers, check_settings, unit_axis
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlannedGaitConfig:
-    """Settings of `PlannedGait`."""
-
-    macro: MacroConfig = field(default_factory=MacroConfig)
-    """Of in-grasp manipulation and the guarded switch; its twist is not read."""
-    rotation: float = 6.283185307179586
-    """Paths of the tree count that get so far [rad]; or as far as any where none does."""
-    speed: float = 0.35
-    """Greatest speed of the rotation [rad/s]."""
-    gain: float = 2.0
-    """Speed of the rotation for each radian that is left to the next grasp [1/s]."""
-    tolerance: float = 0.04
-    """The object is there when it is nearer than this [rad]."""
-    time_limit: float = 4.0
-    """An edge that takes longer is over, wherever the object is [s]."""
-    astray: float = 0.8
-    """A grasp further than this from where an edge should have led, by the tree's metric, goes on
-    from the nearest node."""
-    misplaced: float = 0.02
-    """Where a hand goes on from another node, fingers further than this from their places there,
-    on the object, are put there first [m]."""
-
-    def __post_init__(self) -> None:
-        check_kind(self, macro=MacroConfig)
-        check_numbers(
-            self,
-            positive=("rotation", "speed", "gain", "tolerance", "time_limit", "misplaced"),
-            not_negative=("astray",),
-        )
-
-    @classmethod
-    def suiting(cls, hand: HandModel) -> PlannedGaitConfig:
-        """With the grip and the switches that suit the hand in a coordinated gait."""
-        gait = CoordinatedGaitConfig.suiting(hand)
-        return cls(macro=MacroConfig(in_grasp=gait.in_grasp, switch=gait.switch))
-
-
-class PlannedGaitChanges(TypedDict, total=False):
-    """`PlannedGaitConfig`'s fields as keywords, for type checkers."""
-
-    macro: MacroConfig
-    rotation: float
-    speed: float
-    gain: float
-    tolerance: float
-    time_limit: float
-    astray: float
-    misplaced: float
+from dexctl.validation import check_mask, check_settings, unit_axis
 
 
 class PlannedGait(Controller):
@@ -193,6 +143,16 @@ class PlannedGait(Controller):
         self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
         return action
 
+    def follow(self, state: GraspState, goal: Indices) -> None:
+        """Begin the edges to ``goal`` ``(N,)``, places on the route, in N tracked hands.
+
+        What it does after them, where the hands are not stopped, it decides by itself again;
+        ``arrived`` in the diagnostics says when they are over.
+        """
+        self._fresh = self._allocate(len(goal))
+        self._fresh[:] = False
+        self._begin(np.arange(len(goal)), state, goal, self.route.finger[goal])
+
     def _act(self, state: GraspState) -> Floats:
         count = len(state.q)
         self._check(count)
@@ -221,6 +181,7 @@ class PlannedGait(Controller):
             **macro.diagnostics,
             "node": route.node[self._goal],
             "ahead": ahead,
+            "arrived": due,
         }
         return action
 
@@ -276,10 +237,18 @@ class PlannedGait(Controller):
         repair = repairing & (apart[every, worst] > config.misplaced)
         repair &= self._repairs[rows] < self.hand.n_fingers
         self._repairs[rows] = np.where(repair, self._repairs[rows] + 1, 0)
-        goal = np.where(repair | ~leads_on[at], at, route.following[at])
+        stay = repair | ~leads_on[at]
+        goal = np.where(stay, at, route.following[at])
+        finger = np.where(repair, worst, np.where(stay, -1, route.finger[goal]))
+        self._begin(rows, state, goal, finger)
+
+    def _begin(self, rows: np.ndarray, state: GraspState, goal: Indices, finger: Indices) -> None:
+        assert state.object_position is not None
+        assert state.object_quaternion is not None
+        route = self.route
         self._goal[rows], self._clock[rows] = goal, 0.0
         chosen = np.full(len(state.q), -1)
-        chosen[rows] = np.where(repair, worst, np.where(leads_on[at], route.finger[goal], -1))
+        chosen[rows] = finger
         mask = np.zeros(len(state.q), bool)
         mask[rows] = True
         landing = route.landing(

@@ -12,7 +12,7 @@ from dexctl.planning.tree import Tree
 from dexctl.rotations import inverse, rotate
 from dexctl.settings import from_plain
 from dexctl.sim.shapes import Shape
-from dexctl.state import Floats
+from dexctl.state import Bools, Floats
 from dexctl.switch.landing import Landing
 from dexctl.validation import shown
 
@@ -35,11 +35,13 @@ class Route:
         tree: of a kind whose actions name the finger that is put down anew.
         hand: its hand.
         rotation: paths that end before it do not count, where others do not [rad].
+        every: take the other nodes in too, with whatever follows them.
 
     Attributes:
         tree: as given.
         node: numbers of the nodes in the tree, ascending, ``(K,)``.
         following: which of the K comes after each, -1 at the ends, ``(K,)``.
+        far: which are on paths that end far enough, ``(K,)``.
         finger: that is put down anew on the way *to* each, -1 for none, ``(K,)``.
         touch: which fingertips touch, ``(K, m)``.
         tip: places of the fingertips in the object's frame, ``(K, m, 3)`` [m].
@@ -49,7 +51,14 @@ class Route:
         InvalidInput: a tree of another hand, of one node, or whose actions name no finger.
     """
 
-    def __init__(self, tree: Tree, hand: HandModel, rotation: float = 2.0 * np.pi) -> None:
+    def __init__(
+        self,
+        tree: Tree,
+        hand: HandModel,
+        rotation: float = 2.0 * np.pi,
+        *,
+        every: bool = False,
+    ) -> None:
         header = tree.header
         if header.joint_names != tuple(hand.joint_names):
             raise InvalidInput(
@@ -64,7 +73,11 @@ class Route:
         if len(tree) < 2:
             raise InvalidInput("the tree has one node; expected a path")
         self.tree, self.frame = tree, tree.frame
-        self.node, self.following = _ahead(tree, rotation)
+        far, following = _ahead(tree, rotation)
+        self.node = np.arange(len(tree)) if every else np.flatnonzero(far)
+        place = np.full(len(tree) + 1, -1)  # the last one is that of no node, -1
+        place[self.node] = np.arange(len(self.node))
+        self.far, self.following = far[self.node], place[following[self.node]]
         nodes = tree.nodes.take(self.node)
         self.position, self.quaternion = nodes.object_position, nodes.object_quaternion
         self.rotation, self.touch = nodes.rotation, nodes.in_contact
@@ -122,8 +135,8 @@ class Route:
         return np.sqrt((apart * apart).sum(axis=-1) + turn * turn)
 
 
-def _ahead(tree: Tree, rotation: float) -> tuple[Indices, Indices]:
-    """The nodes of paths that get to ``rotation``, or as far as any, and what follows each."""
+def _ahead(tree: Tree, rotation: float) -> tuple[Bools, Indices]:
+    """Which nodes are on paths that get to ``rotation``, or as far as any; what follows each."""
     reach, time = tree.rotation.copy(), tree.nodes.cost.copy()
     least = min(rotation, float(reach.max()))
     best = np.full(len(tree), -1)
@@ -134,8 +147,4 @@ def _ahead(tree: Tree, rotation: float) -> tuple[Indices, Indices]:
         sooner = far == so_far and time[child] < time[parent]
         if far > so_far or (sooner and best[parent] >= 0):
             reach[parent], time[parent], best[parent] = reach[child], time[child], child
-    node = np.flatnonzero(reach >= least)
-    place = np.full(len(tree), -1)
-    place[node] = np.arange(len(node))
-    following = np.where(best[node] >= 0, place[best[node]], -1)
-    return node, following
+    return np.asarray(reach >= least), best
