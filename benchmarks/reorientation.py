@@ -6,15 +6,17 @@ Any controller or policy can be named instead; a policy must see what is wanted.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from common import Figure, Settings, earlier, progress, settings, write
 
 from dexctl.settings import Names, changed
 from learning.envs import ReorientationConfig, TaskConfig, TurningConfig
 from learning.envs.goals import GOALS, Goals
+from learning.envs.observation import ORIENTATIONS, TURNING
 from learning.evaluation import Subject, evaluate, open_subject
 
+Pose = Literal["tracked", "odometry"]
 AXES = ("x", "-x", "y", "-y", "z", "-z")
 
 
@@ -34,11 +36,13 @@ class Options(Settings):
     """Which."""
     goals: tuple[Goals, ...] = ("yaw", "cube", "uniform")
     """Kinds of goals."""
+    poses: tuple[Pose, ...] = ("tracked", "odometry")
+    """How the object's pose is known where there are goals."""
     axes: Names = AXES
     """Commanded axes; where a policy is not told of axes, none."""
 
 
-def measure(subject: Subject, what: Any, given: Options) -> dict[str, Any]:
+def measure(subject: Subject, what: Any, pose: Pose, given: Options) -> dict[str, Any]:
     """One controller with one kind of goals, or about one axis."""
     if what in GOALS:
         seconds, reorientation = given.seconds, ReorientationConfig(goal_count=1000)
@@ -51,6 +55,7 @@ def measure(subject: Subject, what: Any, given: Options) -> dict[str, Any]:
         {
             "object": given.object,
             "gravity": "up",
+            "object_pose": pose,
             "episodes": given.trials,
             "seconds": seconds,
             "seed": given.seed,
@@ -60,13 +65,15 @@ def measure(subject: Subject, what: Any, given: Options) -> dict[str, Any]:
     return {name: one.to_dict() for name, one in found.figures().items()}
 
 
-def wanted(subject: Subject, given: Options) -> tuple[str, ...]:
-    """What a subject can be asked for."""
+def wanted(subject: Subject, given: Options) -> list[tuple[str, Pose]]:
+    """What a subject can be asked for, and how the object's pose is known then."""
+    goals: list[tuple[str, Pose]] = [(what, pose) for pose in given.poses for what in given.goals]
+    axes: list[tuple[str, Pose]] = [(what, "tracked") for what in given.axes]
     if subject.trained is None:
-        return (*given.goals, *given.axes)
+        return goals + axes
     parts = subject.trained.env.parts
-    goals = given.goals if {"goal_rotation", "goal_quaternion"} & set(parts) else ()
-    return (*goals, *(given.axes if "goal_angular_velocity" in parts else ()))
+    found = goals if set(ORIENTATIONS) & set(parts) else []
+    return found + (axes if TURNING in parts else [])
 
 
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
@@ -85,11 +92,13 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
             "title": f"Goal orientations of a {given.object}, palm up, {given.trials} episodes of "
             f"{given.seconds:g} s, 30 s for each goal: reached within 0.2 rad and at rest",
             "header": [
-                "goals", "", "first goal", "all goals", "to the first [s]", "in a row", "dropped",
+                "goals", "pose", "", "first goal", "all goals", "to the first [s]", "in a row",
+                "dropped",
             ],
             "rows": [
                 [
                     row["what"],
+                    row["pose"],
                     row["who"],
                     percent(row["share_first_goal_reached"]),
                     percent(row["share_goals_reached"]),
@@ -117,7 +126,7 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     ]  # fmt: skip
     found = [
         Figure(
-            f"{row['who']}: first goals reached ({row['what']})",
+            f"{row['who']}: first goals reached ({row['what']}, {row['pose']})",
             f"{percent(row['share_first_goal_reached'])}, median "
             f"{row['first_goal_median_s']['value']:.1f} s",
             "80 %",
@@ -133,14 +142,15 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 def main() -> None:
     given = settings(Options, __doc__)
     rows = earlier("reorientation", given)
-    done = {(row["who"], row["what"]) for row in rows}
+    done = {(row["who"], row["what"], row["pose"]) for row in rows}
     for name in given.who:
         subject = open_subject(name)
-        for what in wanted(subject, given):
-            if (name, what) not in done:
-                rows.append({"who": name, "what": what, **measure(subject, what, given)})
+        for what, pose in wanted(subject, given):
+            if (name, what, pose) not in done:
+                asked = {"who": name, "what": what, "pose": pose}
+                rows.append(asked | measure(subject, what, pose, given))
                 save(rows, given, say=False)
-                progress(f"{name}, {what}")
+                progress(f"{name}, {what}, {pose}")
     save(rows, given, say=True)
 
 

@@ -107,6 +107,7 @@ class SceneConfig:
         sensing = Sensing(
             touch=self.sensing.touch,
             joint_touch=self.sensing.joint_touch,
+            object_pose=self.sensing.object_pose,
             touch_threshold=self.sensing.touch_threshold,
         )
         push = replace(self.push, push_force=0.0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from dexctl.joint_touch import JointTouch
 from dexctl.settings import NESTED
+from dexctl.sim.dead_reckoning import DeadReckoning
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams, StreamsState
 from dexctl.touch import TouchConfig
@@ -16,6 +17,7 @@ from dexctl.validation import check_kind, check_name, check_numbers
 
 Touch = Literal["full", "binary", "joint-torque"]
 TOUCHES: tuple[Touch, ...] = ("full", "binary", "joint-torque")
+POSES = ("tracked", "odometry")
 
 _SENSED = (
     "q", "in_contact", "contact_position", "contact_normal", "contact_force",
@@ -35,6 +37,9 @@ class Sensing:
     """What is known of touch: "full" is contact points, normals and forces; "binary" which
     fingertips touch, the rest told from the joints; "joint-torque" the joints alone."""
     joint_touch: Annotated[TouchConfig, NESTED] = field(default_factory=TouchConfig)
+    object_pose: Literal["tracked", "odometry"] = "tracked"
+    """How the object's pose is known: "tracked", as it is; "odometry", as it was at the start of
+    the episode and from then on by what the fingers that hold it feel alone."""
     joint_offset: float = 0.0
     """Standard deviation of what encoders read at zero, drawn for each joint and episode [rad].
     Servos go by their encoders, so what they hold is off by as much."""
@@ -55,8 +60,9 @@ class Sensing:
 
     def __post_init__(self) -> None:
         check_name("touch", self.touch, TOUCHES)
+        check_name("object_pose", self.object_pose, POSES)
         check_kind(self, joint_touch=TouchConfig)
-        kinds = ("touch", "joint_touch")
+        kinds = ("touch", "joint_touch", "object_pose")
         names = tuple(one.name for one in fields(self) if one.name not in kinds)
         check_numbers(self, not_negative=names)
 
@@ -81,6 +87,7 @@ class Sensor:
         streams: of the noise, ``(N,)``; each environment draws its own.
         control_period: [s].
         joint_touch: what makes touch of joints, where ``sensing`` has less than full touch.
+        reckoning: what follows the object, where nothing tracks it.
 
     Attributes:
         streams: as given.
@@ -93,8 +100,10 @@ class Sensor:
         streams: Streams,
         control_period: float,
         joint_touch: JointTouch | None = None,
+        reckoning: DeadReckoning | None = None,
     ) -> None:
         self._sensing, self.streams = sensing, streams
+        self._reckoning = reckoning
         self._joint_touch = joint_touch
         self.offset: Floats | float = 0.0
         self._period = control_period
@@ -147,6 +156,8 @@ class Sensor:
         if self._joint_touch is not None:
             switches = seen.in_contact if sensing.touch == "binary" else None
             seen = self._joint_touch(seen, switches, mask=begin)
+        if self._reckoning is not None:
+            seen = self._reckoning(seen, begin)
         if not self._steps:
             return seen
         now = {name: getattr(seen, name) for name in _SENSED if getattr(seen, name) is not None}
@@ -208,6 +219,7 @@ class Sensor:
             "past": [dict(one) for one in self._past],
             "joint_touch": felt,
             "offset": np.array(self.offset),
+            "reckoning": None if self._reckoning is None else self._reckoning.save(),
             "errors": {
                 "noise": self._share.copy(),
                 "latency": self._late * self._period,
@@ -224,6 +236,8 @@ class Sensor:
         self.offset = np.array(saved["offset"])
         if self._joint_touch is not None:
             self._joint_touch.load_state_dict(saved["joint_touch"])
+        if self._reckoning is not None:
+            self._reckoning.restore(saved["reckoning"])
 
 
 def blurred(

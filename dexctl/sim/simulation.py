@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.hand import HandModel
 from dexctl.joint_touch import JointTouch
+from dexctl.sim.dead_reckoning import DeadReckoning
 from dexctl.sim.grasp_states import GraspStates, StateSampler
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.limited_hand import LimitedHand
@@ -94,7 +95,10 @@ class Simulation:
         if config.sensing.touch != "full":
             servos, how = (scenes[0].stiffness, scenes[0].damping), config.sensing.joint_touch
             felt = JointTouch(self.hand, *servos, how, control_period=self.control_period)
-        self._sensor = Sensor(config.sensing, noise, self.control_period, felt)
+        reckoning = None
+        if config.sensing.object_pose == "odometry":
+            reckoning = DeadReckoning(self.hand, count, self.control_period)
+        self._sensor = Sensor(config.sensing, noise, self.control_period, felt, reckoning)
         self._steps = np.zeros(count, np.int64)
         self._unseen: Bools | None = np.ones(count, bool)  # None: a control step has passed in all
         self._begin(np.ones(count, bool))

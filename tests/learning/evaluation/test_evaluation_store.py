@@ -84,7 +84,8 @@ def test_every_setting_counts_but_threads(dex5: dexctl.HandModel, tmp_path: Path
         "scene.hand": "wonik_allegro", "scene.object": "sphere", "scene.object_mesh": mesh,
         "scene.gravity": "down", "scene.initial_states": states, "task.turning.axis": "x",
         "task.goals": "cube", "task.turning.commands": ("x", "any"),
-        "scene.sensing.touch": "binary", "scene.sensing.joint_touch.release_force": 0.3,
+        "scene.sensing.touch": "binary", "scene.sensing.object_pose": "odometry",
+        "scene.sensing.joint_touch.release_force": 0.3,
         "task.turning.end_on_links": True,
         **{path: (0.25, 0.75) for path in paths(Protocol) if path.endswith("_range")},
     }  # fmt: skip

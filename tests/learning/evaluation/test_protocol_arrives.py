@@ -28,6 +28,7 @@ OTHERS: dict[str, Any] = {
     "scene.gravity": "down",
     "scene.initial_states": Path("states.npz"),
     "scene.sensing.touch": "binary",
+    "scene.sensing.object_pose": "odometry",
     "scene.sensing.joint_touch.release_force": 0.3,
     "scene.threads": 3,
     "task.goals": "cube",

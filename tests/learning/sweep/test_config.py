@@ -146,6 +146,7 @@ OTHER = {
     "scene.gravity": (1.0, 0.0, -9.0),
     "scene.initial_states": Path("/there/states.npz"),
     "scene.sensing.touch": "binary",
+    "scene.sensing.object_pose": "odometry",
     "scene.threads": 3,
     "task.goals": "cube",
     "task.turning.axis": "-y",

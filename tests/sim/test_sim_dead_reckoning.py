@@ -1,0 +1,73 @@
+"""Objects that nothing tracks: their pose from the start, and from what the fingers feel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dexctl import controllers
+from dexctl.rotations import inverse, multiply, rotation_vector
+from dexctl.settings import from_plain
+from dexctl.sim import SceneConfig, Simulation
+from dexctl.state import GraspState
+
+
+def scene(**changes: object) -> SceneConfig:
+    usual = {"object": "cylinder", "object_pose": "odometry", "threads": 1}
+    return from_plain(SceneConfig, usual | changes)
+
+
+def off(a: GraspState, b: GraspState) -> np.ndarray:
+    """The angle between the orientations that two states tell, ``(N,)`` [rad]."""
+    assert a.object_quaternion is not None
+    assert b.object_quaternion is not None
+    turn = multiply(a.object_quaternion, inverse(b.object_quaternion))
+    return np.linalg.norm(rotation_vector(turn), axis=-1)
+
+
+def turn(simulation: Simulation, steps: int) -> None:
+    igm = controllers.make("igm", simulation.hand)
+    for _ in range(steps):
+        state = simulation.read()
+        simulation.write(state.q_target + igm.act(state))
+        simulation.step()
+
+
+def test_it_follows_the_object() -> None:
+    with Simulation(scene(), 3) as simulation:
+        assert off(simulation.read(), simulation.state) == pytest.approx(0.0, abs=1e-7)
+        np.testing.assert_allclose(
+            simulation.read().object_centre(), simulation.state.object_centre()
+        )
+        start = simulation.state
+        turn(simulation, 30)
+        came = off(simulation.state, start)
+        assert (came > 0.2).all()
+        assert (off(simulation.read(), simulation.state) < 0.25 * came).all()
+        assert (off(simulation.read(), simulation.state) > 1e-6).all()  # it does not look
+
+
+def test_an_episode_that_begins_changes_no_other() -> None:
+    with Simulation(scene(), 3) as simulation, Simulation(scene(), 3) as other:
+        for one in (simulation, other):
+            turn(one, 10)
+        simulation.reset(None, np.array([False, True, False]))
+        seen = simulation.read()
+        assert off(seen, simulation.state)[1] == pytest.approx(0.0, abs=1e-7)
+        for one in (simulation, other):
+            turn(one, 5)
+        a, b = simulation.read(), other.read()
+        assert a.object_quaternion is not None
+        assert b.object_quaternion is not None
+        np.testing.assert_array_equal(a.object_quaternion[[0, 2]], b.object_quaternion[[0, 2]])
+
+
+def test_it_goes_on_to_the_bit_where_it_was_saved() -> None:
+    with Simulation(scene(joint_noise=0.01), 2) as simulation:
+        turn(simulation, 5)
+        saved = simulation.save()
+        turn(simulation, 5)
+        expected = simulation.read().object_quaternion
+        simulation.restore(saved)
+        turn(simulation, 5)
+        np.testing.assert_array_equal(simulation.read().object_quaternion, expected)
