@@ -33,13 +33,9 @@ from dexctl.igm import InGraspManipulationConfig
 from dexctl.sim import SceneConfig
 
 _LIGHT = {"object_mass": 0.05}
-# what suits each hand; without a width, that of its toml
+# what suits each hand, of the width and at the place in its toml, which `dexctl hands add` found
 HELD: dict[str, dict[str, dict[str, float]]] = {
-    "wonik_allegro": {
-        "sphere": _LIGHT | {"object_size": 0.07},
-        "cylinder": _LIGHT | {"object_size": 0.065},
-        "cube": _LIGHT | {"object_size": 0.055},
-    },
+    "wonik_allegro": {"sphere": _LIGHT, "cylinder": _LIGHT, "cube": _LIGHT},
     "leap_hand": {"sphere": _LIGHT, "cube": _LIGHT},
     "shadow_hand": {"sphere": _LIGHT, "cube": _LIGHT},
 }

@@ -48,19 +48,27 @@ class Turned(NamedTuple):
     Attributes:
         held: share of the trials that still hold the object, by palm.
         rotation: median rotation up to the end or the drop, by palm [rad].
+        clear: share of the time in which nothing but fingertips touches, by palm.
         trials: of each palm.
         seconds: of each [s].
     """
 
     held: dict[str, float]
     rotation: dict[str, float]
+    clear: dict[str, float]
     trials: int
     seconds: float
 
     @property
     def value(self) -> float:
-        """What grasps are compared by: turns that are held to the end, palm up before palm down."""
-        turns = {palm: self.held[palm] ** 2 * max(self.rotation[palm], 0.0) for palm in self.held}
+        """What grasps are compared by: turns that are held to the end, palm up before palm down.
+
+        Links that touch count against them as drops do: they are what the next drop comes from.
+        """
+        turns = {
+            palm: (self.held[palm] * self.clear[palm]) ** 2 * max(self.rotation[palm], 0.0)
+            for palm in self.held
+        }
         return turns["up"] + _PALM_DOWN * turns.get("down", 0.0)
 
     @property
@@ -114,7 +122,7 @@ def turned(
     from dexctl.sim import SceneConfig, Simulation, run
 
     hand = config.build()
-    held, rotation = dict.fromkeys(palms, 0.0), dict.fromkeys(palms, 0.0)
+    held, rotation, clear = (dict.fromkeys(palms, 0.0) for _ in range(3))
     for palm in palms:
         scene = SceneConfig(hand=str(config.description), object=(name,), gravity=palm)
         try:
@@ -130,7 +138,8 @@ def turned(
         stays = trace.held[-1] & (away.max(axis=0) < _STAYS)  # does not lie on the palm
         held[palm] = float(stays.mean())
         rotation[palm] = float(np.median(trace.final_rotation))
-    return Turned(held, rotation, trials, seconds)
+        clear[palm] = 1.0 - float((trace.other_contact > 0)[trace.held].mean())
+    return Turned(held, rotation, clear, trials, seconds)
 
 
 def chosen(

@@ -31,13 +31,19 @@ def grasp_of(hand: dexctl.HandModel, size: float, fingers: int = 4) -> Suggested
 
 
 def test_turns_count_as_far_as_they_are_held() -> None:
-    found = Turned({"up": 1.0, "down": 0.5}, {"up": 2.0, "down": 1.0}, trials=6, seconds=20.0)
-    assert found.value == pytest.approx(2.0 + 0.5 * 0.25 * 1.0)
+    found = Turned(
+        held={"up": 1.0, "down": 0.5},
+        rotation={"up": 2.0, "down": 1.0},
+        clear={"up": 0.9, "down": 1.0},
+        trials=6,
+        seconds=20.0,
+    )
+    assert found.value == pytest.approx(0.81 * 2.0 + 0.5 * 0.25 * 1.0)
     assert found.note == (
         "the coordinated gait, 20 s each: palm up 2.0 rad, 6 of 6 hold; palm down 1.0 rad, 3 of 6 "
         "hold"
     )
-    back = Turned({"up": 1.0}, {"up": -2.0}, trials=6, seconds=20.0)
+    back = Turned({"up": 1.0}, {"up": -2.0}, {"up": 1.0}, trials=6, seconds=20.0)
     assert back.value == 0.0
 
 
@@ -61,7 +67,8 @@ def test_the_grasp_that_turns_furthest_is_chosen(
         asked.append((size, tuple(palms), seconds))
         held = 0.5 if size == 0.06 else 1.0
         turns = dict.fromkeys(palms, rotation[size] * seconds)
-        return Turned(dict.fromkeys(palms, held if len(palms) > 1 else 1.0), turns, trials, seconds)
+        shares = dict.fromkeys(palms, held if len(palms) > 1 else 1.0)
+        return Turned(shares, turns, dict.fromkeys(palms, 1.0), trials, seconds)
 
     monkeypatch.setattr(hands_grasp, "turned", trial)
     grasps = [grasp_of(dex5, size) for size in rotation] + [grasp_of(dex5, 0.08, fingers=3)]
