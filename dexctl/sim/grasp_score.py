@@ -7,18 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dexctl.configuration import HandConfiguration
 from dexctl.grasp import epsilon_quality, isotropy
 from dexctl.hand import HandModel
 from dexctl.rotations import cross
-from dexctl.sim.grasp_search import CLEAR, Contacts, GraspSearch, Placement
-from dexctl.state import Bools, Floats
+from dexctl.sim.grasp_search import Contacts, GraspSearch
+from dexctl.sim.grasp_sweep import jacobians, sweep, velocities
+from dexctl.state import Floats
 
 _EDGES = 6  # of the friction pyramids
-_STEP = 0.05  # of the wanted motion, turn or shift over the lever [rad]
-_FURTHEST = 0.6  # how far it is followed [rad]
-_DAMPING = 1e-5
-_ERROR = 0.15  # of a step, that a finger may fall short of
 _NEEDED = 3  # fingers that hold while one is lifted
 
 # What is enough of each: more does not make a grasp better. Chosen on which of 200 grasps of
@@ -106,7 +102,7 @@ def scores(search: GraspSearch, found: Contacts) -> list[GraspScore]:
     lever = found.position - found.centre[:, None]
     length = np.linalg.norm(lever, axis=-1).sum(axis=-1) / np.maximum(crew, 1)
     motion = _motion(np.asarray(search.twist, float), length)
-    ways = [_sweep(search, found, lower, upper, way) for way in (motion, -motion)]
+    ways = [sweep(search, found, lower, upper, way) for way in (motion, -motion)]
     held, clear = ([np.where(found.active, way[i], np.inf) for way in ways] for i in (0, 1))
     parts = {
         "margin": _epsilon(search, found) * weights,
@@ -156,23 +152,12 @@ def _motion(twist: Floats, length: Floats) -> Floats:
     return length[:, None] * (twist / np.linalg.norm(linear))
 
 
-def _velocities(motion: Floats, lever: Floats) -> Floats:
-    """Of the contact points ``(n, m, 3)`` where the object moves so."""
-    return motion[:, None, :3] + cross(np.broadcast_to(motion[:, None, 3:], lever.shape), lever)
-
-
-def _jacobians(hand: HandModel, configuration: HandConfiguration, points: Floats) -> Floats:
-    """By each finger's own joints, ``(n, m, 3, k)``; columns of shared ones are zero."""
-    own = hand.finger_joint_map @ (hand.moves.sum(axis=0) == 1)
-    return configuration.finger_jacobian(points).swapaxes(-1, -2) * own[:, None]
-
-
 def _dexterity(hand: HandModel, found: Contacts, motion: Floats) -> Floats:
     lever = found.position - found.centre[:, None]
-    velocity = _velocities(motion, lever)
+    velocity = velocities(motion, lever)
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     direction = np.where(speed > 1e-9, velocity / np.maximum(speed, 1e-9), 0.0)
-    jacobian = _jacobians(hand, hand.configuration(found.q), found.position)
+    jacobian = jacobians(hand, hand.configuration(found.q), found.position)
     gram = jacobian @ jacobian.swapaxes(-1, -2) + 1e-10 * np.eye(3)
     need = np.einsum("nmx,nmx->nm", direction, np.linalg.solve(gram, direction[..., None])[..., 0])
     each = 1.0 / np.sqrt(np.maximum(need, 1e-12))
@@ -186,7 +171,7 @@ def _stiffness(search: GraspSearch, found: Contacts, length: Floats) -> Floats:
     compliance of a robotic hand" (1989), without the terms of the grip's own forces.
     """
     hand = search.workspace.hand
-    jacobian = _jacobians(hand, hand.configuration(found.q), found.position)
+    jacobian = jacobians(hand, hand.configuration(found.q), found.position)
     yielding = 1.0 / np.maximum(search.stiffness, 1e-6)[hand.finger_joints]
     compliance = (jacobian * yielding[:, None]) @ jacobian.swapaxes(-1, -2)
     contact = np.linalg.inv(compliance + 1e-6 * np.eye(3)) * found.active[..., None, None]
@@ -196,64 +181,3 @@ def _stiffness(search: GraspSearch, found: Contacts, length: Floats) -> Floats:
     grasp = np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn.swapaxes(-1, -2)], axis=-2)
     total = (grasp @ contact @ grasp.swapaxes(-1, -2)).sum(axis=1)
     return np.asarray(np.linalg.eigvalsh(total)[:, 0], float)
-
-
-class _Sweep(NamedTuple):
-    """How far each finger follows its contact ``(n, m)`` [rad]."""
-
-    held: Floats
-    clear: Floats
-
-
-def _sweep(
-    search: GraspSearch, found: Contacts, lower: Floats, upper: Floats, motion: Floats
-) -> _Sweep:
-    """How far along ``motion`` each finger can go: by its joints, and with its links clear besides.
-
-    The fingers follow their contact points, each by itself, by damped least squares, step by step,
-    until they are at a joint limit or fall short of their step.
-    """
-    hand = search.workspace.hand
-    q, points = found.q.copy(), found.position.copy()
-    centre = found.centre[:, None].copy()
-    going = found.active.copy()
-    clear = going.copy()
-    held, swung = np.zeros(going.shape), np.zeros(going.shape)
-    for k in range(1, round(_FURTHEST / _STEP) + 1):
-        step = _STEP * _velocities(motion, points - centre)
-        jacobian = _jacobians(hand, hand.configuration(q), points)
-        gram = jacobian @ jacobian.swapaxes(-1, -2) + _DAMPING * np.eye(3)
-        change = jacobian.swapaxes(-1, -2) @ np.linalg.solve(gram, step[..., None])
-        short = np.linalg.norm((jacobian @ change)[..., 0] - step, axis=-1)
-        going &= short <= _ERROR * np.linalg.norm(step, axis=-1) + 1e-5
-        used = (going[:, :, None] & hand.moves).any(axis=1)
-        q = q + np.einsum("nmk,mkd->nd", change[..., 0], hand.finger_joint_map) * used
-        stuck = ((q < lower) | (q > upper)) & used
-        going &= ~(stuck[:, None] & hand.moves).any(axis=-1)
-        clear &= going
-        if not going.any():
-            break
-        points = points + step
-        centre = centre + _STEP * motion[:, None, :3]
-        clear &= _links_clear(search, found, q, centre[:, 0], k * _STEP * motion)
-        held += _STEP * going
-        swung += _STEP * clear
-    return _Sweep(held, swung)
-
-
-def _links_clear(
-    search: GraspSearch, found: Contacts, q: Floats, centre: Floats, moved: Floats
-) -> Bools:
-    """Whether each finger's links keep clear of the object, which has turned along, ``(n, m)``."""
-    balls = search.workspace.balls
-    where = balls.centres(q)
-    out = np.ones(found.active.shape, bool)
-    fingers = range(search.workspace.hand.n_fingers)
-    for i, place in enumerate(found.placement):
-        turned = Placement(centre[i], place.size, place.yaw + float(moved[i, 5]))
-        shape = search.shape.scaled(place.size)
-        gap = shape.bound((where[i] - turned.centre) @ turned.turn) - balls.radius
-        for finger in fingers:
-            links = (balls.finger == finger) & ~balls.tip
-            out[i, finger] = gap[links].min(initial=np.inf) > CLEAR
-    return out
