@@ -43,6 +43,7 @@ HEADINGS = {
     "ablation": "Parts of the coordinated gait",
     "learning_ablation": "Parts of the recipe fast",
     "planning": "Planning",
+    "starts": "Starts of episodes",
     "robustness": "Robustness of the coordinated gait",
 }
 SWEEP = "learning_table"

@@ -40,6 +40,10 @@ RUNS: dict[str, list[str]] = {
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
         *("--variants", "fast", "no_cloning"),
     ],
+    "starts.py": [
+        *(*SHORT, "--steps", "300", "--ppo-steps", "300", "--num-envs", "4", "--tree-nodes", "60"),
+        *("--tasks", "sphere_x", "--methods", "rxr_ipt"),
+    ],
     "algorithms.py": [
         *("--seeds", "1", "--share", "0.001", "--episodes", "2"),
         *("--only", "pendulum_sac", "hand_ppo"),
@@ -76,11 +80,11 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     arguments = [*RUNS[script], "--out", tmp_path]
     if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
-    if script in ("learner.py", "learned.py", "learning_ablation.py", "algorithms.py"):
+    if script in ("learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py"):
         pytest.importorskip("torch", reason="needs the extra 'learning'")
     if script in ("learner.py", "algorithms.py"):
         pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
-    if script == "learning_ablation.py":
+    if script in ("learning_ablation.py", "starts.py"):
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]
     if script == "hands_turning.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]

@@ -214,7 +214,9 @@ def test_other_starts_from_now_on(starts: SceneConfig) -> None:
 def test_gravity_in_part(starts: SceneConfig) -> None:
     with Simulation(PLAIN, 2) as sim:
         sim.scale_gravity(0.25)
-        np.testing.assert_allclose(sim.sim.read().gravity, [[0.0, 0.0, -0.25 * 9.81]] * 2)
+        gravity = sim.sim.read().gravity
+        assert gravity is not None
+        np.testing.assert_allclose(gravity, [[0.0, 0.0, -0.25 * 9.81]] * 2)
         with pytest.raises(InvalidInput, match="share is nan"):
             sim.scale_gravity(np.nan)
 

@@ -149,6 +149,23 @@ def test_starts_that_do_not_hold_are_one_line(said: list[str]) -> None:
     assert len(said) <= 1
 
 
+def test_a_file_of_falling_starts_is_refused_before_the_run(small: Make, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    from learning.training.run_folder import RunFolder
+    from learning.training.trainer import train
+
+    good = settled(env(4))
+    replace(good, q_target=good.q - 0.5).save(tmp_path / "loose.npz")
+    config = small(num_envs=4, env__initial_states=tmp_path / "loose.npz")
+    with pytest.raises(InvalidInput, match="4 of 4 starts do not hold"):
+        train(config, tmp_path / "run")
+    assert not RunFolder.is_run(tmp_path / "run")
+    path = tmp_path / "cut.npz"
+    path.write_bytes((tmp_path / "loose.npz").read_bytes()[:-300])
+    with pytest.raises(InvalidInput, match="'.*cut.npz' cannot be read"):
+        train(small(env__initial_states=path), tmp_path / "run")
+
+
 @pytest.mark.parametrize(
     ("settings", "what"),
     [

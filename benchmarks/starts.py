@@ -1,0 +1,317 @@
+"""Where episodes begin, and who guides them: the comparison of the thesis's chapter 5.
+
+PPO from a fixed start, sampled grasps, explored states, under growing gravity, and from the paths
+of a tree, without and with imitation; and this library's quicker learners from the same starts: SAC
+alone, and guided by controllers. Each policy is then alone, from the settled grasp and from grasps
+of a tree that no training has seen. A training that is there is not done again, or goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from common import (
+    FULL_TURN,
+    Figure,
+    Settings,
+    earlier,
+    over_seeds,
+    percent_interval,
+    progress,
+    settings,
+    share,
+    write,
+)
+
+from dexctl.exceptions import UnknownName
+from dexctl.planning import Kinematic, grow, path_states
+from dexctl.settings import changed
+from dexctl.sim import SceneConfig
+from dexctl.validation import unit_axis
+from learning.config import TrainConfig, recipe
+from learning.evaluation import evaluate, open_subject
+from learning.evaluation.figures import Evaluation
+from learning.training.run_folder import RunFolder
+
+_HELD_OUT = 1000  # trees that nobody has trained from have the seed seed + this
+_STARTS = 2000  # states of such a tree
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is turned, about which axis, and by what the guided methods are guided."""
+
+    title: str
+    object: str
+    axis: str = "z"
+    gravity: str = "up"
+    guides: tuple[str, ...] = ("coordinated",)
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to train."""
+
+    title: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    algorithm: str = "ppo"
+    method: str = "rl"
+
+
+TASKS = {
+    "sphere_x": Task("sphere about x, palm up", "sphere", "x", guides=("gait", "igm")),
+    "cube_x": Task("cube about x, palm up", "cube", "x", guides=("gait", "igm")),
+    "l": Task("L about z, palm up", "l_shape"),
+    "l_down": Task("L about z, palm down", "l_shape", gravity="down"),
+    "u": Task("U about z, palm up", "u_shape"),
+}
+METHODS = {
+    "guides": Method("guide alone"),
+    "fi": Method("PPO, fixed start (FI)"),
+    "sgs": Method("PPO, sampled grasps (SGS)", {"start_from": "grasps"}),
+    "er": Method("PPO, explored restarts (ER)", {"start_from": "explored"}),
+    "gc": Method("PPO, gravity curriculum (GC)", {"start_from": "gravity"}),
+    "rxr": Method("PPO, paths of a tree (RxR)", {"start_from": "paths"}),
+    "rxr_ipt": Method(
+        "PPO, paths, imitation (RxR + IPT)", {"start_from": "paths", "imitated": "joints"}
+    ),
+    "rl": Method("SAC, fixed start", algorithm="sac"),
+    "rl_paths": Method("SAC, paths of a tree", {"start_from": "paths"}, "sac"),
+    "vge": Method("guided (VGE), fixed start", {}, "sac", "vge"),
+    "vge_paths": Method("guided (VGE), paths of a tree", {"start_from": "paths"}, "sac", "vge"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    tasks: tuple[str, ...] = ("sphere_x", "l")
+    """Which."""
+    methods: tuple[str, ...] = tuple(METHODS)
+    """Which."""
+    steps: int = 1_000_000
+    """Environment steps of each training with SAC; the guides stop after 4 of 10."""
+    ppo_steps: int = 10_000_000
+    """Environment steps of each training with PPO."""
+    tree_nodes: int = 100_000
+    """Nodes of a tree."""
+    trials: int = 100
+    """Episodes of each policy alone, from either kind of start."""
+    seconds: float = 60.0
+    """Of each."""
+    num_envs: int = 128
+    """Environments of each training."""
+    trained_only: bool = False
+    """Evaluate what has been trained, and train nothing."""
+    runs: Path = Path("out/starts")
+    """Folder of the trainings, TASK-METHOD-SEED; one that is there is taken as it is."""
+
+
+def config(task: Task, method: Method, given: Options) -> TrainConfig:
+    """Everything that a training is."""
+    steps = given.ppo_steps if method.algorithm == "ppo" else given.steps
+    base = recipe("fast", method.method)
+    own: dict[str, Any] = {}
+    if method.algorithm == "ppo":
+        own["critic_parts"] = (*base.env.critic_parts, "object_velocity", "fingertip_force")
+        own["gravity_steps"] = max(steps // 2, 1)
+    if method.changes.get("imitated"):
+        own["critic_steps"] = steps // 20
+    return changed(
+        base,
+        {
+            "algorithm": method.algorithm,
+            "object": task.object,
+            "axis": task.axis,
+            "gravity": task.gravity,
+            "controllers": task.guides,
+            "hard_stop": max(int(0.4 * steps), 1),
+            "steps": steps,
+            "seed": given.seed,
+            "num_envs": given.num_envs,
+            "tree_nodes": given.tree_nodes,
+            "threads": 1,
+            **own,
+            **method.changes,
+        },
+    )
+
+
+def trained(folder: Path, wanted: TrainConfig, given: Options) -> TrainConfig | None:
+    """Train, or go on; the configuration of the run, None where there is none."""
+    from learning.training.trainer import resume, train
+
+    there = RunFolder.is_run(folder)
+    if not there and given.trained_only:
+        return None
+    if not given.trained_only:
+        _ = resume(folder) if there else train(wanted, folder)
+    return RunFolder(folder).config()
+
+
+def held_out(name: str, task: Task, given: Options) -> Path:
+    """File of grasps on the paths of another tree."""
+    path = given.runs / f"held-out-{name}-{given.seed + _HELD_OUT}.npz"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (scene,) = SceneConfig(object=(task.object,), gravity=task.gravity).scenes()
+        tree = grow(
+            scene, Kinematic(), nodes=max(given.tree_nodes // 4, 2), seconds=60.0,
+            axis=unit_axis(task.axis), seed=given.seed + _HELD_OUT,
+        )  # fmt: skip
+        path_states(tree, _STARTS, goals="even", scene=scene).save(path)
+    return path
+
+
+def guides(name: str, given: Options) -> list[dict[str, Any]]:
+    """The controllers that guide a task, each alone: their rows."""
+    task, rows = TASKS[name], []
+    for guide in task.guides:
+        subject = open_subject(guide)
+        protocol = subject.protocol(
+            object=task.object, axis=task.axis, gravity=task.gravity,
+            episodes=given.trials, seconds=given.seconds, seed=given.seed + _HELD_OUT,
+        )  # fmt: skip
+        about = {"task": name, "method": "guides", "guides": [guide], "steps": 0}
+        rows.append({**about, "from": "settled", **outcome(evaluate(subject, protocol))})
+    return rows
+
+
+def outcome(got: Evaluation) -> dict[str, Any]:
+    """What an evaluation came to."""
+    return {
+        "rotation_rad": over_seeds(got.rotation),
+        "time_held_s": over_seeds(got.time_held),
+        "dropped": share(got.dropped),
+        "full_turn": share(got.rotation >= FULL_TURN),
+        "return_mean": round(float(got.returns.mean()), 2),
+        "fingertips_only": round(float(got.fingertips_only.mean()), 4),
+    }
+
+
+def measure(name: str, method: str, given: Options) -> list[dict[str, Any]]:
+    """One training: its rows, none where it is not there."""
+    if method == "guides":
+        return guides(name, given)
+    task = TASKS[name]
+    folder = given.runs / f"{name}-{method}-{given.seed}"
+    found = trained(folder, config(task, METHODS[method], given), given)
+    if found is None:
+        return []
+    subject, rows = open_subject(str(folder)), []
+    start = found.starts.start_from
+    if found.env.scene.initial_states is not None:
+        start = "file"
+    steps = int(RunFolder(folder).progress()[-1]["step"])
+    about = {
+        "task": name, "method": method, "training_seed": found.seed, "steps": steps,
+        "start_from": start, "algorithm": found.algorithm, "guides": list(found.guides),
+        "hard_stop": found.guidance.hard_stop if found.guides else None,
+    }  # fmt: skip
+    for kind in ("settled", "held out"):
+        protocol = subject.protocol(
+            episodes=given.trials, seconds=given.seconds, seed=given.seed + _HELD_OUT
+        )
+        if kind == "held out":
+            scene = replace(protocol.scene, initial_states=held_out(name, task, given))
+            protocol = replace(protocol, scene=scene)
+        rows.append({**about, "from": kind, **outcome(evaluate(subject, protocol))})
+    return rows
+
+
+def line(row: dict[str, Any]) -> list[str]:
+    """A line of the table."""
+    turned = row["rotation_rad"]
+    low, high = turned["bootstrap95"]
+    return [
+        TASKS[row["task"]].title,
+        METHODS[row["method"]].title
+        + (f": {', '.join(row['guides'])}" if row["method"] == "guides" else ""),
+        f"{row['steps'] / 1e6:.2f}" if row["steps"] else "",
+        row["from"],
+        f"{turned['median']:.1f} ({low:.1f}-{high:.1f})",
+        f"{turned['median'] / FULL_TURN:.1f}",
+        percent_interval(row["full_turn"]),
+        percent_interval(row["dropped"]),
+    ]
+
+
+def figures(rows: list[dict[str, Any]]) -> list[Figure]:
+    """How far the surest policy of each task turns, and what planned starts are worth."""
+    found = []
+    for name, task in TASKS.items():
+        own = {
+            row["method"]: row for row in rows if row["task"] == name and row["from"] == "held out"
+        }
+        if not own:
+            continue
+        best = max(own.values(), key=lambda row: row["full_turn"]["share"])
+        turned, least = best["rotation_rad"]["median"], 4 if task.axis == "x" else 5
+        found.append(
+            Figure(
+                f"{task.title}: rotation in {best['time_s']:g} s from starts held out, "
+                f"{METHODS[best['method']].title}",
+                f"median {turned:.1f} rad, {best['dropped']['count']} of {best['dropped']['of']} "
+                "dropped",
+                f"{least} turns ({least * FULL_TURN:.1f} rad)",
+                bool(turned >= least * FULL_TURN),
+            )
+        )
+        for fixed, paths in (("fi", "rxr"), ("rl", "rl_paths"), ("vge", "vge_paths")):
+            if fixed not in own or paths not in own:
+                continue
+            ours, theirs = own[paths]["full_turn"], own[fixed]["full_turn"]
+            found.append(
+                Figure(
+                    f"{task.title}: episodes with a full turn from starts held out, "
+                    f"{METHODS[paths].title}",
+                    percent_interval(ours),
+                    f"more than from a fixed start, intervals apart: {percent_interval(theirs)}",
+                    bool(ours["wilson95"][0] > theirs["wilson95"][1]),
+                )
+            )
+    return found
+
+
+def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
+    """Write the result with the rows so far."""
+    table = {
+        "title": f"Starts of episodes: the policy alone, {given.trials} episodes of "
+        f"{given.seconds:g} s, median rotation before any drop (95 % interval), one seed each",
+        "header": [
+            "Task", "Method", "10^6 steps", "from", "rotation [rad]", "turns", "full turn",
+            "dropped",
+        ],
+        "rows": [line(row) for row in rows],
+    }  # fmt: skip
+    write("starts", given, figures(rows), [table], trials=rows, say=say)
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    for names, known, what in ((given.tasks, TASKS, "task"), (given.methods, METHODS, "method")):
+        for name in names:
+            if name not in known:
+                raise UnknownName(what, name, known)
+    rows = earlier("starts", given)
+    done = {(row["task"], row["method"]) for row in rows}
+    for name in given.tasks:
+        for method in given.methods:
+            if (name, method) in done:
+                continue
+            more = [{**row, "time_s": given.seconds} for row in measure(name, method, given)]
+            rows += more
+            if more:
+                save(rows, given, say=False)
+                progress("; ".join(line(more[-1])))
+    order = list(METHODS)
+    rows.sort(key=lambda row: (list(TASKS).index(row["task"]), order.index(row["method"])))
+    save(rows, given, say=True)
+
+
+if __name__ == "__main__":
+    main()
