@@ -89,7 +89,7 @@ def test_what_is_not_said_is_as_in_training(
     assert run(policy, *short) == 0
     found = json.loads(capsys.readouterr().out)
     assert [one["object"] for one in found["results"]] == ["sphere", "cylinder"]
-    scene, task = found["protocol"]["scene"], found["protocol"]["task"]
+    scene, task = found["protocol"]["scene"], found["protocol"]["task"]["turning"]
     assert (scene["gravity"], task["axis"], task["max_reward"]) == ("down", [0.0, 2.0, 0.0], 0.3)
     assert (scene["object_mass"], scene["control_period"], scene["substeps"]) == (0.05, 0.1, 20)
     assert (scene["limits"]["speed_limit"], scene["sensing"]["touch_threshold"]) == (0.6, 0.1)
@@ -100,10 +100,8 @@ def test_what_is_not_said_is_as_in_training(
     assert run(policy, *short, *others) == 0
     found = json.loads(capsys.readouterr().out)
     assert [one["object"] for one in found["results"]] == ["cube"]
-    assert (found["protocol"]["scene"]["gravity"], found["protocol"]["task"]["axis"]) == (
-        "up",
-        "-z",
-    )
+    scene, task = found["protocol"]["scene"], found["protocol"]["task"]["turning"]
+    assert (scene["gravity"], task["axis"]) == ("up", "-z")
     assert found["results"][0]["disturbance"]["push_force"] == 0.5
 
 
@@ -254,3 +252,15 @@ def test_cards_of_other_versions_are_read_as_far_as_they_matter(policy_of: MakeP
     assert (subject.objects, subject.guides) == (("sphere",), ())
     assert subject.protocol(axis="y").scene.gravity == "down"
     assert open_subject(policy_of({})).protocol() == Protocol()
+
+
+def test_goals_have_figures_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    short = ("--goals", "yaw", "--episodes", "2", "--seconds", "0.3", "--goal-seconds", "0.2")
+    assert run("goal", *short) == 0
+    said = capsys.readouterr().out
+    assert "goal, palm up, goals yaw" in said
+    assert "goals in a row" in said
+    assert run("goal", *short, "--json") == 0
+    found = json.loads(capsys.readouterr().out)["results"][0]
+    assert found["share_first_goal_reached"]["count"] == 2
+    assert found["first_goal_median_s"]["value"] == 0.2
