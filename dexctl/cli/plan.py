@@ -33,6 +33,7 @@ from dexctl.planning import (
     holding,
 )
 from dexctl.planning.grow import check_ends
+from dexctl.planning.processes import part_files
 from dexctl.planning.tree import TREE
 from dexctl.settings import NESTED, Vector
 from dexctl.sim import Scene, SceneConfig
@@ -68,8 +69,8 @@ class Plan:
     out: Path = Path("out/plan")
     """Folder for tree.npz and plan.json."""
     jobs: int | None = None
-    """Processes that grow a tree each, which become one; none: one for each core, or one only for
-    kinematic trees and those that are resumed."""
+    """Processes that grow a tree each, which become one; none: one for each core, only one for
+    kinematic trees, and as many as there were for those that are resumed."""
     resume: Switch = False
     """Go on with the tree in the folder."""
     json: Switch = False
@@ -94,7 +95,7 @@ class Plan:
         until = self.until_rotation
         if until is None and self.nodes is None and self.seconds is None:
             until = 2 * math.pi
-        jobs = self._jobs(tree)
+        jobs = self._jobs()
         (scene,) = self.scene.scenes()
         ends: dict[str, Any] = {
             "nodes": self.nodes, "seconds": self.seconds, "until_rotation": until, "axis": axis,
@@ -111,7 +112,9 @@ class Plan:
                         scene_config=self.scene, progress=show, **ends,
                     )  # fmt: skip
                 else:
-                    tree = grow_in_processes(self.scene, expansion, jobs, progress=show, **ends)
+                    tree = grow_in_processes(
+                        self.scene, expansion, jobs, progress=show, resume=self.resume, **ends
+                    )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted; the tree is in {path}, and the same command with --resume goes on"
@@ -137,12 +140,17 @@ class Plan:
             raise UnknownName("--expand", self.expand, known)
         return known[self.expand]
 
-    def _jobs(self, tree: Tree | None) -> int:
+    def _jobs(self) -> int:
+        if self.resume:
+            before = len(part_files(self.out.expanduser() / TREE)) or 1
+            if self.jobs not in (None, before):
+                raise InvalidInput(
+                    f"--jobs is {self.jobs}; the tree in {self.out} is of {before} processes"
+                )
+            return before
         if self.jobs is not None:
-            if tree is not None and self.jobs != 1:
-                raise InvalidInput(f"--jobs is {self.jobs}; a tree is resumed by one process")
             return check_count("--jobs", self.jobs)
-        one = tree is not None or self.expand == "kinematic" or self.scene.threads is not None
+        one = self.expand == "kinematic" or self.scene.threads is not None
         if one:
             return 1
         from dexctl.report.machine import usable_cores
@@ -164,8 +172,11 @@ class Plan:
                     f"{path} is there already; expected --resume, which goes on with it, or "
                     "another --out"
                 )
+            for part in part_files(path):  # of a run that was killed
+                part.unlink(missing_ok=True)
             return None
-        return Tree.load(path)
+        # a merged tree is made of those of its processes, which go on
+        return None if part_files(path) else Tree.load(path)
 
     def _write(self, found: dict[str, Any]) -> None:
         from dexctl.files import write_text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -30,21 +29,24 @@ def grow_in_processes(
     path: str | Path,
     nodes: int | None = None,
     seed: int = 0,
+    resume: bool = False,
     progress: Callable[[Progress], object] | None = None,
     **arguments: Any,
 ) -> Tree:
     """As `grow`, by ``jobs`` processes with the seeds ``seed + i``, one thread each.
 
     Each grows a tree of its own from the settled grasp; when one has turned far enough all stop,
-    and the trees become one. The file is written when that is done, also after Ctrl-C.
+    and the trees become one. That file is written when all are done, also after Ctrl-C; those of
+    the processes stand beside it (`part_files`), and what is killed loses their last block at most.
 
     Args:
         scene_config: what each builds its scene from; one object.
         expansion, arguments: as `grow`'s.
         jobs: how many processes.
-        path: where the merged tree is written; what each process has stands beside it meanwhile.
+        path: where the merged tree is written.
         nodes: of all trees together.
         seed: of the first process.
+        resume: go on with the files of the processes; one that has none begins anew.
         progress: called several times a second with the sums, and the greatest rotation.
 
     Raises:
@@ -54,7 +56,9 @@ def grow_in_processes(
     if not isinstance(jobs, (int, np.integer)) or isinstance(jobs, bool) or jobs < 1:
         raise InvalidInput(f"jobs is {jobs!r}; expected a whole number of processes above 0")
     target = Path(path)
-    parts = [target.with_name(f".{target.stem}.{os.getpid()}.{i}.npz") for i in range(jobs)]
+    parts = [_part(target, i) for i in range(jobs)]
+    for part in () if resume else part_files(target):
+        part.unlink(missing_ok=True)
     context = multiprocessing.get_context("spawn")
     stop, shown = context.Event(), context.Array("d", _SHOWN * jobs)
     errors = context.SimpleQueue()
@@ -86,14 +90,32 @@ def grow_in_processes(
         for part in parts:
             with suppress(InvalidInput):
                 trees.append(Tree.load(part))
-            part.unlink(missing_ok=True)
         if trees:
             tree = Tree.merge(trees)
             tree.save(target)
+    why = "" if errors.empty() else errors.get()
     if len(trees) < jobs:
-        why = "" if errors.empty() else f": {errors.get()}"
-        raise SimulationError(f"{jobs - len(trees)} of {jobs} processes ended without a tree{why}")
+        raise SimulationError(
+            f"{jobs - len(trees)} of {jobs} processes ended without a tree{why and f': {why}'}"
+        )
+    if why:
+        raise InvalidInput(why)
     return tree
+
+
+def part_files(path: str | Path) -> list[Path]:
+    """The files of the processes that grew the tree ``path``, in their order.
+
+    One that was killed before it had anything to write has none.
+    """
+    target = Path(path)
+    names = (each.name.split(".")[-2] for each in target.parent.glob(f".{target.stem}.*.npz"))
+    last = max((int(name) for name in names if name.isdigit()), default=-1)
+    return [_part(target, i) for i in range(last + 1)]
+
+
+def _part(target: Path, number: int) -> Path:
+    return target.with_name(f".{target.stem}.{number}.npz")
 
 
 def _work(
@@ -106,18 +128,20 @@ def _work(
     errors: Any,
     **arguments: Any,
 ) -> None:
-    """What a process does: a tree in a file."""
+    """What a process does: a tree in a file, gone on with where there is one."""
+    parent = multiprocessing.parent_process()
 
     def watch(now: Progress) -> bool:
         first = _SHOWN * number
         shown[first : first + _SHOWN] = [now.nodes, now.expansions, now.rotation, now.physics_steps]
-        return stop.is_set()
+        # who has killed the parent wants an end
+        return stop.is_set() or (parent is not None and not parent.is_alive())
 
     try:
         (scene,) = scene_config.scenes()
         tree = grow(
             scene, expansion, scene_config=scene_config, path=part, threads=1, progress=watch,
-            **arguments,
+            tree=Tree.load(part) if part.exists() else None, **arguments,
         )  # fmt: skip
         if tree.rotation.max() >= (arguments.get("until_rotation") or np.inf):
             stop.set()

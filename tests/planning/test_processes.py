@@ -9,6 +9,7 @@ import pytest
 
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_in_processes
+from dexctl.planning.processes import part_files
 from dexctl.sim import Scene, SceneConfig
 
 
@@ -23,7 +24,29 @@ def test_two_processes_grow_what_each_would_have_grown(tmp_path: Path) -> None:
     assert tree.header.expansions == sum(one.header.expansions for one in alone)
     assert (np.sort(tree.expansion)[-1]) <= 2 * tree.header.expansions
     assert seen
-    assert list(tmp_path.iterdir()) == [path]
+    assert set(tmp_path.iterdir()) == {path, *part_files(path)}
+
+
+def test_what_was_killed_is_gone_on_with(tmp_path: Path) -> None:
+    """The merged tree is missing, and what one process had, as after a kill -9."""
+    config, path = SceneConfig(object=("cylinder",)), tmp_path / "tree.npz"
+    expansion = RandomActions(batch=4)
+    first = grow_in_processes(config, expansion, 2, path=path, nodes=8, seed=5)
+    path.unlink()
+    parts = part_files(path)
+    assert [part.name for part in parts] == [".tree.0.npz", ".tree.1.npz"]
+    kept = Tree.load(parts[1])
+    parts[0].unlink()
+    assert part_files(path) == parts
+    tree = grow_in_processes(config, expansion, 2, path=path, nodes=16, seed=5, resume=True)
+    assert len(tree) >= 16 > len(first)
+    again = Tree.load(parts[1])
+    np.testing.assert_array_equal(again.nodes.q[: len(kept)], kept.nodes.q)
+    whole = [grow(config.scenes()[0], expansion, nodes=8, seed=5 + i, threads=1) for i in range(2)]
+    np.testing.assert_array_equal(tree.rotation, Tree.merge(whole).rotation)
+    other = SceneConfig(object=("cylinder",), gravity="down")
+    with pytest.raises(InvalidInput, match="the tree is of the gravity"):
+        grow_in_processes(other, expansion, 2, path=path, nodes=20, resume=True)
 
 
 def test_what_goes_wrong_in_a_process_is_said(tmp_path: Path) -> None:
