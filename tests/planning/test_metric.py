@@ -55,12 +55,12 @@ def test_a_full_turn_is_far_from_the_root() -> None:
 def test_nearest_is_the_nearest() -> None:
     rng = np.random.default_rng(0)
     search = Nearest(6)
-    points = rng.normal(size=(3000, 6)).astype(np.float32)
+    points = rng.normal(size=(9000, 6)).astype(np.float32)
     for part in np.array_split(points, 7):
         search.add(part)
     targets = rng.normal(size=(50, 6)).astype(np.float32)
     plain = np.linalg.norm(points[None] - targets[:, None], axis=-1).argmin(axis=1)
-    assert len(search) == 3000
+    assert len(search) == 9000
     np.testing.assert_array_equal(search(targets), plain)
 
 
