@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 from dexctl import controllers
@@ -50,6 +51,9 @@ class TrainConfig:
     ppo: PPOConfig = PPOConfig()
     starts: Annotated[StartsConfig, NESTED] = StartsConfig()
     imitation: Annotated[ImitationConfig, NESTED] = ImitationConfig()
+    begin_from: Path | None = None
+    """Folder of a run whose networks this one begins with, as where ranges are drawn only once
+    the gait is there (thesis, chapter 5); none: random ones. They must be of one shape."""
     steps: int = 1_000_000
     """Environment steps, of all environments together."""
     seed: int = 0

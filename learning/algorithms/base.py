@@ -107,6 +107,8 @@ class Algorithm(ABC):
     name: ClassVar[str]
     overlaps: ClassVar[bool]
     activation: ClassVar[str] = "relu"
+    _of_the_run: ClassVar[tuple[str, ...]] = ("random",)
+    """What of `state_dict` belongs to the steps of a run, not to what it has learned."""
 
     def __init__(self) -> None:
         self.steps = 0
@@ -192,6 +194,19 @@ class Algorithm(ABC):
         self._load_state(saved)
         self.steps, self.updates = int(saved["steps"]), int(saved["updates"])
         self.statistics = dict(saved["statistics"])
+
+    def begin_as(self, saved: Mapping[str, Any]) -> None:
+        """Begin with what another run has learned, and none of its steps.
+
+        Args:
+            saved: what `state_dict` gave there.
+
+        Raises:
+            InvalidInput: it is of another algorithm or another shape.
+        """
+        own = self._state()
+        kept = {name: own[name] for name in self._of_the_run}
+        self.load_state_dict({**saved, **kept, "steps": 0, "updates": 0, "statistics": {}})
 
     @abstractmethod
     def _state(self) -> dict[str, Any]:

@@ -40,6 +40,7 @@ class OffPolicy(Algorithm):
 
     overlaps: ClassVar[bool] = True
     _outputs_per_action: ClassVar[int] = 1
+    _of_the_run: ClassVar[tuple[str, ...]] = ("random", "replay")
 
     def __init__(
         self,

@@ -50,6 +50,7 @@ class PPO(Algorithm):
         device: that the updates run on.
     """
 
+    _of_the_run: ClassVar[tuple[str, ...]] = ("random", "rollout")
     overlaps: ClassVar[bool] = False
     name: ClassVar[str] = "ppo"
 

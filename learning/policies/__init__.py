@@ -16,10 +16,12 @@ from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from dexctl.validation import unit_axis
 from learning.envs.observation import TURNING
-from learning.policies.file import read, save
+from learning.policies.file import annotate, read, save
 from learning.policies.policy import Layer, Policy, PolicySpec, other_hand
 
-__all__ = ["Layer", "Policy", "PolicySpec", "learned", "load", "names", "other_hand", "save"]
+__all__ = [
+    "Layer", "Policy", "PolicySpec", "annotate", "learned", "load", "names", "other_hand", "save",
+]  # fmt: skip
 
 FOLDER = Path(__file__).parent
 IN_RUN = "policy.npz"

@@ -135,6 +135,20 @@ def read(path: Path) -> Stored:
     return Stored(layers, PolicySpec(**{**spec, **names}), card)
 
 
+def annotate(path: str | Path, **entries: Any) -> None:
+    """Add to what the card of a policy file says, or put it in the place of what it said.
+
+    Args:
+        path: of the file; the card beside it is written, too.
+        **entries: anything that JSON can hold, such as what the policy was tested under.
+
+    Raises:
+        InvalidInput: no such file, or one that is damaged or no policy.
+    """
+    layers, spec, card = read(Path(path))
+    save(path, layers, spec, {**card, **entries})
+
+
 def _members(archive: zipfile.ZipFile) -> tuple[str, dict[str, np.ndarray]]:
     """The card's text, and the arrays by name."""
     members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}

@@ -191,11 +191,27 @@ class Trainer:
 
     def _prepare(self) -> None:
         """What comes before the first step of a new run."""
+        if self.config.begin_from is not None:
+            self._begin_from(RunFolder(self.config.begin_from))
         if self.env.simulation.starts is None:
             return
         if self.config.imitation.imitated != "none":
             imitate(self.algorithm, self.env, self.config.imitation, self.config.seed)
         self._observation, _ = self.env.reset(seed=self.config.seed)
+
+    def _begin_from(self, other: RunFolder) -> None:
+        """Take the networks of another run.
+
+        Raises:
+            InvalidInput: it has no checkpoint, or networks of another shape.
+        """
+        saved = other.read_checkpoint()
+        if saved is None:
+            raise InvalidInput(f"begin_from is {other.path}, which has no checkpoint")
+        try:
+            self.algorithm.begin_as(saved["algorithm"])
+        except (InvalidInput, KeyError) as error:
+            raise InvalidInput(f"begin_from is {other.path}: {error}") from None
 
     def turn(self, pool: ThreadPoolExecutor) -> None:
         """One step of all environments, and the updates that are due."""

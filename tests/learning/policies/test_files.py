@@ -99,6 +99,19 @@ def test_files_come_back(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["policy.npz"]
 
 
+def test_a_card_may_say_more_later(tmp_path: Path, spec: PolicySpec, layers: list[Layer]) -> None:
+    path = tmp_path / "policy.npz"
+    policies.save(path, layers, spec, {"seed": 7})
+    policies.annotate(path, tested=[{"held": 0.9}])
+    policies.annotate(path, tested=[{"held": 0.8}])
+    again = policies.load(path)
+    assert (again.card["seed"], again.card["tested"]) == (7, [{"held": 0.8}])
+    assert json.loads(path.with_suffix(".json").read_text()) == again.card
+    for one, other in zip(again.layers, layers, strict=True):
+        np.testing.assert_array_equal(one.weight, other.weight)
+        np.testing.assert_array_equal(one.bias, other.bias)
+
+
 def test_loading_needs_numpy_alone(tmp_path: Path, spec: PolicySpec, layers: list[Layer]) -> None:
     policies.save(tmp_path / "p.npz", layers, spec)
     code = (

@@ -253,3 +253,40 @@ def test_no_gpu(small: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(InvalidInput, match="torch finds no GPU"):
         train(changed(small(), {"device": "cuda"}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_may_begin_with_the_networks_of_another(
+    tmp_path: Path, small: Callable[..., TrainConfig]
+) -> None:
+    first = small(method="rl", steps=100)
+    train(first, tmp_path / "first")
+    saved = RunFolder(tmp_path / "first").read_checkpoint()
+    assert saved is not None
+    # other ranges, other rewards: nothing but the networks is taken over
+    config = small(
+        method="rl", steps=100, begin_from=tmp_path / "first", gravity_tilt=3.0, drop_cost=5.0
+    )
+    trainer = Trainer(config, RunFolder(tmp_path / "second"))
+    trainer._prepare()
+    state = trainer.algorithm.state_dict()
+    trainer.close()
+    for name, one in saved["algorithm"]["networks"].items():
+        assert torch.equal(one["flat"], state["networks"][name]["flat"]), name
+    assert (state["steps"], state["updates"], len(state["replay"]["rows"])) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"parts": ("q", "q_target")}, "begin_from is .*first: the saved actor has layers"),
+        ({"algorithm": "td3"}, "begin_from is .*first: the saved algorithm is sac; expected td3"),
+        ({"begin_from": Path("nowhere")}, "begin_from is nowhere, which has no checkpoint"),
+    ],
+)
+def test_networks_that_do_not_fit(
+    changes: dict[str, Any], text: str, tmp_path: Path, small: Callable[..., TrainConfig]
+) -> None:
+    train(small(method="rl", steps=8), tmp_path / "first")
+    config = small(**{"method": "rl", "begin_from": tmp_path / "first"} | changes)
+    with pytest.raises(InvalidInput, match=text):
+        train(config, tmp_path / "second")
