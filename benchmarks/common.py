@@ -35,6 +35,7 @@ RESULTS = Path(__file__).resolve().parent / "results"
 FULL_TURN = 2 * np.pi
 PALMS = ("up", "down")
 FIXED = ("seed", "trials", "seconds")  # settings that rows of one result have in common
+_UNSAID = ("out", "resume", "picture")  # settings that a result does not tell: where it goes
 THREADS = 2  # of the physics in the timing benchmarks
 # of in-grasp manipulation; they give the same numbers
 ENGINES = {"compiled": "compiled (extra `fast`)", "plain": "numpy only"}
@@ -416,7 +417,7 @@ def write(
     """
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / f"{name}.json"
-    chosen = {key: value for key, value in asdict(given).items() if key not in ("out", "resume")}
+    chosen = {key: value for key, value in asdict(given).items() if key not in _UNSAID}
     where = machine()
     where["versions"]["numba"] = version("numba") if find_spec("numba") else "not installed"
     where["load"] = round(os.getloadavg()[0], 2)

@@ -45,6 +45,8 @@ HEADINGS = {
     "planning": "Planning",
     "starts": "Starts of episodes",
     "robustness": "Robustness of the coordinated gait",
+    "conditions": "Conditions",
+    "ranges": "One setting at a time",
 }
 SWEEP = "learning_table"
 # what README shows: the figure of this number in the results of this script

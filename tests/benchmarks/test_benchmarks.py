@@ -53,6 +53,8 @@ RUNS: dict[str, list[str]] = {
     "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
     "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
+    "conditions.py": [*SHORT, "--conditions", "up", "all", "--objects", "cube"],
+    "ranges.py": [*SHORT, "--varied", "mass_range", "push_force", "--picture", "None"],
 }
 
 
@@ -95,7 +97,8 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     result = json.loads((tmp_path / f"{name}.json").read_text())
     assert result["benchmark"] == name
     assert result["machine"]["versions"]["mujoco"][0].isdigit()
-    assert result["settings"]["seed"] == (100 if script == "gaits_long.py" else 0)
+    first = {"gaits_long": 100, "conditions": 20_000, "ranges": 30_000}
+    assert result["settings"]["seed"] == first.get(name, 0)
     assert result["figures"] or result["tables"]
     for table in result["tables"]:
         assert {len(row) for row in table["rows"]} == {len(table["header"])}

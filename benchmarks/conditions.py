@@ -1,0 +1,214 @@
+"""Policies and the coordinated gait under named conditions, any way up, and for ten minutes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import (
+    FULL_TURN,
+    Figure,
+    Settings,
+    earlier,
+    over_seeds,
+    percent_interval,
+    progress,
+    settings,
+    share,
+    write,
+)
+
+from dexctl.sim import SceneConfig
+from dexctl.sim.conditions import under
+from learning import policies
+from learning.evaluation import Protocol, evaluate, open_subject
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Under what somebody is tested.
+
+    Attributes:
+        text: for people.
+        names: of `dexctl.sim.conditions.CONDITIONS`, one after the other.
+        palm: which way it looks, where gravity is not drawn.
+        seconds: of an episode, None for the usual time.
+        every: whether it is measured with all objects, not the first two only.
+        hold, speed: what is asked for, share of episodes held and mean speed [rad/s]; 0: nothing.
+    """
+
+    text: str
+    names: tuple[str, ...] = ()
+    palm: str = "up"
+    seconds: float | None = None
+    every: bool = False
+    hold: float = 0.0
+    speed: float = 0.0
+
+
+CONDITIONS: dict[str, Condition] = {
+    "up": Condition("nominal, palm up"),
+    "down": Condition("nominal, palm down", palm="down"),
+    "any-gravity": Condition(
+        "nominal, any way up", ("any-gravity",), every=True, hold=0.98, speed=0.8
+    ),
+    "limits": Condition("limits, any way up", ("limits", "any-gravity")),
+    "everything": Condition("everything, any way up", ("everything", "any-gravity"), hold=0.98),
+    "all": Condition(
+        "everything and limits, any way up",
+        ("everything", "limits", "any-gravity"),
+        every=True,
+        hold=0.98,
+        speed=0.5,
+    ),
+    "endurance": Condition(
+        "everything and limits, any way up, ten minutes",
+        ("everything", "limits", "any-gravity"),
+        seconds=600.0,
+        hold=0.95,
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    seed: int = 20_000
+    """First seed; trial i has the seed seed + i. Nothing was chosen by these."""
+    trials: int = 100
+    """Episodes for each object."""
+    seconds: float = 60.0
+    """Of each, but for endurance."""
+    endurance: int = 40
+    """Episodes of ten minutes."""
+    who: tuple[str, ...] = ("dex5-easy", "coordinated")
+    """Policies, by name or file, and controllers."""
+    objects: tuple[str, ...] = ("cube", "cylinder", "sphere", "icosahedron", "dodecahedron")
+    """Which; the first two under all conditions, the others where any gravity or all is drawn."""
+    conditions: tuple[str, ...] = tuple(CONDITIONS)
+    """Which."""
+    cards: bool = False
+    """Whether the policies' cards are to say what was measured."""
+
+
+def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any]:
+    """One row."""
+    condition = CONDITIONS[chosen]
+    scene = under(SceneConfig(object=(turned,), gravity=condition.palm), *condition.names)
+    protocol = Protocol(
+        scene=replace(scene, threads=1),
+        episodes=given.endurance if condition.seconds else given.trials,
+        seconds=condition.seconds or given.seconds,
+        seed=given.seed,
+    )
+    found = evaluate(open_subject(who), protocol)
+    times, held = found.survival()
+    return {
+        "who": who,
+        "condition": chosen,
+        "object": turned,
+        "time_s": protocol.seconds,
+        "rotation_rad": over_seeds(found.rotation),
+        "revolutions_median": round(float(np.median(found.rotation)) / FULL_TURN, 3),
+        "speed_rad_s": round(float(found.speed.mean()), 4),
+        "holding": share(~found.dropped),
+        "within_25_mm": share(~found.strayed),
+        "time_held_s": over_seeds(found.time_held),
+        "fingertips_only": round(float(found.fingertips_only.mean()), 4),
+        "drift_mm": over_seeds(1000.0 * found.drift),
+        "survival": {"time_s": times.round(2).tolist(), "share_held": held.round(4).tolist()},
+    }
+
+
+def figures(rows: list[dict[str, Any]]) -> list[Figure]:
+    """What was asked for, over all objects."""
+    found = []
+    for who, (name, condition) in product(
+        dict.fromkeys(row["who"] for row in rows), CONDITIONS.items()
+    ):
+        mine = [row for row in rows if (row["who"], row["condition"]) == (who, name)]
+        if not mine or not condition.hold:
+            continue
+        held, trials = (sum(row["holding"][key] for row in mine) for key in ("count", "of"))
+        speed = float(np.mean([row["speed_rad_s"] for row in mine]))
+        goal = f"{100 * condition.hold:.0f} % hold"
+        if condition.speed:
+            goal += f", {condition.speed} rad/s"
+        found.append(
+            Figure(
+                f"{who}, {condition.text} ({len(mine)} objects): held",
+                f"{held} of {trials}, {speed:.2f} rad/s",
+                goal,
+                held / trials >= condition.hold and speed >= condition.speed,
+            )
+        )
+    return found
+
+
+def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
+    """Write the result with the rows so far."""
+    lines = [
+        [
+            row["who"],
+            CONDITIONS[row["condition"]].text,
+            row["object"],
+            percent_interval(row["holding"]),
+            f"{100 * row['within_25_mm']['share']:.0f} %",
+            f"{row['rotation_rad']['median']:.1f}",
+            f"{row['speed_rad_s']:.2f}",
+            f"{100 * row['fingertips_only']:.1f} %",
+            f"{row['drift_mm']['median']:.0f}",
+        ]
+        for row in sorted(rows, key=lambda row: list(CONDITIONS).index(row["condition"]))
+    ]
+    header = ["", "Conditions", "Object", "Held", "Within 25 mm", "Rotation: median [rad]"]
+    header += ["Speed [rad/s]", "Only fingertips", "Drift: median [mm]"]
+    table = {
+        "title": f"Under named conditions, {given.trials} episodes of {given.seconds:g} s each, "
+        f"{given.endurance} of ten minutes",
+        "header": header,
+        "rows": lines,
+    }
+    write("conditions", given, figures(rows), [table], trials=rows, say=say)
+
+
+def write_cards(rows: list[dict[str, Any]], given: Options) -> None:
+    """What was measured, in the cards of the policies."""
+    keys = ("object", "time_s", "holding", "revolutions_median", "speed_rad_s", "fingertips_only")
+    for who in given.who:
+        path = policies.FOLDER / f"{who}.npz" if who in policies.names() else Path(who)
+        if path.suffix == ".npz":
+            tested = [
+                {"conditions": CONDITIONS[row["condition"]].text} | {key: row[key] for key in keys}
+                for row in rows
+                if row["who"] == who
+            ]
+            policies.annotate(path, tested={"first_seed": given.seed, "results": tested})
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    rows = earlier("conditions", given)
+    done = {(row["who"], row["condition"], row["object"]) for row in rows}
+    for chosen, turned, who in product(given.conditions, given.objects, given.who):
+        asked = CONDITIONS[chosen].every or turned in given.objects[:2]
+        if (who, chosen, turned) in done or not asked:
+            continue
+        rows.append(measure(who, chosen, turned, given))
+        save(rows, given, say=False)
+        row = rows[-1]
+        progress(
+            f"{who}, {chosen}, {turned}: {percent_interval(row['holding'])}, "
+            f"{row['rotation_rad']['median']:.1f} rad"
+        )
+    save(rows, given, say=True)
+    if given.cards:
+        write_cards(rows, given)
+
+
+if __name__ == "__main__":
+    main()

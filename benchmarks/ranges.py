@@ -1,0 +1,163 @@
+"""How much of each thing a policy stands: one setting after the other, palm up and palm down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import Settings, earlier, over_seeds, percent_interval, progress, settings, share, write
+
+from dexctl.files import aside
+from dexctl.report.style import INK, drawing, finger_colour, new_figure
+from dexctl.settings import changed
+from dexctl.validation import check_name
+from learning.evaluation import Protocol, evaluate, open_subject
+
+# setting: what stands under the axis, its factor, and the levels
+VARIED: dict[str, tuple[str, float, tuple[float, ...]]] = {
+    "friction_range": ("friction", 1.0, (0.4, 0.6, 0.8, 1.0, 1.4)),
+    "mass_range": ("mass [g]", 1e3, (0.05, 0.1, 0.2, 0.3, 0.4)),
+    "size_range": ("width [%]", 1e2, (0.9, 0.95, 1.0, 1.05, 1.1)),
+    "stiffness_range": ("stiffness [%]", 1e2, (0.5, 0.7, 1.0, 1.3, 1.5)),
+    "gear_friction_range": ("gear friction [N m]", 1.0, (0.0, 0.02, 0.04, 0.08)),
+    "speed_limit": ("speed limit [rad/s]", 1.0, (0.3, 0.6, 1.0, 2.0)),
+    "torque_limit": ("torque limit [N m]", 1.0, (0.2, 0.3, 0.4, 0.5)),
+    "action_latency": ("action latency [ms]", 1e3, (0.0, 0.05, 0.1, 0.15)),
+    "sensor_latency": ("sensor latency [ms]", 1e3, (0.0, 0.05, 0.1, 0.15)),
+    "joint_offset": ("encoders off by [rad]", 1.0, (0.0, 0.03, 0.06, 0.1)),
+    "joint_noise": ("noise of joints [rad]", 1.0, (0.0, 0.02, 0.05, 0.1)),
+    "position_noise": ("noise of contacts [mm]", 1e3, (0.0, 0.002, 0.004, 0.008)),
+    "normal_noise": ("tilt of normals [rad]", 1.0, (0.0, 0.1, 0.2, 0.4)),
+    "force_noise": ("noise of forces [N]", 1.0, (0.0, 0.5, 1.0, 2.0)),
+    "touch_threshold": ("touch from [N]", 1.0, (0.05, 0.25, 0.5, 1.0)),
+    "push_force": ("pushes [N]", 1.0, (0.0, 0.5, 1.0, 2.0)),
+}
+COLUMNS = 4
+LINES = {"up": "-", "down": (0, (4, 2))}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    seed: int = 30_000
+    """First seed; trial i has the seed seed + i."""
+    trials: int = 32
+    """Episodes for each level, object and palm direction."""
+    seconds: float = 30.0
+    """Of each."""
+    who: tuple[str, ...] = ("dex5-easy", "coordinated")
+    """Policies, by name or file, and controllers."""
+    object: str = "cube"
+    """Which."""
+    varied: tuple[str, ...] = tuple(VARIED)
+    """Which settings."""
+    picture: Path | None = Path(__file__).resolve().parents[1] / "docs" / "images" / "ranges.png"
+    """Where the curves are drawn; None: nowhere."""
+
+
+def measure(who: str, setting: str, level: float, palm: str, given: Options) -> dict[str, Any]:
+    """One row: everything nominal, but for one setting."""
+    value = (level, level) if setting.endswith("_range") else level
+    base = Protocol(episodes=given.trials, seconds=given.seconds, seed=given.seed)
+    asked = {"object": given.object, "gravity": palm, "threads": 1, setting: value}
+    found = evaluate(open_subject(who), changed(base, asked))
+    return {
+        "who": who,
+        "setting": setting,
+        "level": level,
+        "palm": palm,
+        "object": given.object,
+        "rotation_rad": over_seeds(found.rotation),
+        "holding": share(~found.dropped),
+    }
+
+
+def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """A panel for each setting: the share of episodes that hold, by its level."""
+    names = [name for name in VARIED if any(row["setting"] == name for row in rows)]
+    columns = min(COLUMNS, len(names))
+    count = -(-len(names) // columns)
+    with drawing():
+        figure = new_figure(0.8 + 2.4 * columns, 0.6 + 2.1 * count)
+        axes = figure.subplots(count, columns, sharey=True, squeeze=False)
+        for panel in axes.flat[len(names) :]:
+            panel.set_visible(False)
+        for panel, name in zip(axes.flat, names, strict=False):
+            label, factor, _ = VARIED[name]
+            for i, who in enumerate(dict.fromkeys(row["who"] for row in rows)):
+                for palm, style in LINES.items():
+                    mine = [
+                        (factor * row["level"], 100 * row["holding"]["share"])
+                        for row in rows
+                        if (row["setting"], row["who"], row["palm"]) == (name, who, palm)
+                    ]
+                    panel.plot(
+                        *np.array(sorted(mine)).reshape(-1, 2).T,
+                        color=finger_colour(i),
+                        ls=style,
+                        marker="o",
+                        ms=3.5,
+                        label=f"{who}, palm {palm}",
+                    )
+            panel.set(xlabel=label, ylim=(-3, 103))
+        for row in axes:
+            row[0].set_ylabel("episodes held [%]")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper left", ncols=2, labelcolor=INK)
+        with aside(path) as part:
+            figure.savefig(part)
+
+
+def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
+    """Write the result with the rows so far."""
+    keys = [(who, palm) for who in given.who for palm in LINES]
+    by = {(row["setting"], row["level"], row["who"], row["palm"]): row for row in rows}
+    lines = [
+        [
+            label,
+            f"{factor * level:g}",
+            *(
+                f"{percent_interval(row['holding'])}, {row['rotation_rad']['median']:.1f} rad"
+                if (row := by.get((name, level, *key))) is not None
+                else ""
+                for key in keys
+            ),
+        ]
+        for name, (label, factor, levels) in VARIED.items()
+        for level in levels
+        if any((name, level, *key) in by for key in keys)
+    ]
+    table = {
+        "title": f"One setting at a time, the {given.object}, {given.trials} episodes of "
+        f"{given.seconds:g} s each: share still holding (95 % interval), median rotation",
+        "header": ["", "", *(f"{who}, palm {palm}" for who, palm in keys)],
+        "rows": lines,
+    }
+    write("ranges", given, [], [table], trials=rows, say=say)
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    for name in given.varied:
+        check_name("setting", name, list(VARIED))
+    rows = earlier("ranges", given)
+    done = {(row["who"], row["setting"], row["level"], row["palm"]) for row in rows}
+    for name, who, palm in product(given.varied, given.who, LINES):
+        for level in VARIED[name][2]:
+            if (who, name, level, palm) in done:
+                continue
+            rows.append(measure(who, name, level, palm, given))
+            save(rows, given, say=False)
+            progress(f"{who}, {name} {level:g}, palm {palm}: {rows[-1]['holding']['share']}")
+    save(rows, given, say=True)
+    if given.picture is not None:
+        draw(given.picture, rows)
+
+
+if __name__ == "__main__":
+    main()
