@@ -201,9 +201,9 @@ class _Samples:
             found[(slice(None), *place)] = np.diff(area) / STEP
         most = self._speed * STEP
         reference = np.broadcast_to(self._held, latency.shape).copy()
-        for goal in found:
-            reference += np.clip(goal - reference, -most, most)
-            goal[:] = reference
+        for step in range(self._steps):
+            reference += np.clip(found[step] - reference, -most, most)
+            found[step] = reference
         return found
 
     def simulate(self, parameters: Floats) -> Floats:
@@ -254,7 +254,8 @@ class _ServoLaws(NamedTuple):
 def _servo_laws(samples: _Samples, velocity: Floats, torque: Floats) -> _ServoLaws:
     """Fit the servos' law to the torque they measured, whatever moved the joints."""
     count = torque.shape[1]
-    stiffness, damping, latency = (np.full(count, np.nan) for _ in range(3))
+    laws = _ServoLaws(*np.full((3, count), np.nan))
+    stiffness, damping, latency = laws
     for tried in (np.arange(0.0, LONGEST, 0.01), np.arange(-0.01, 0.01, 0.001)):
         around = np.nan_to_num(latency)  # nothing at first, then what the coarse search found
         lanes = np.maximum(tried[:, None] + around, 0.0)
@@ -273,7 +274,7 @@ def _servo_laws(samples: _Samples, velocity: Floats, torque: Floats) -> _ServoLa
                 if left < best and law[0] > 0:
                     best, latency[j] = left, late
                     stiffness[j], damping[j] = law[0], max(law[1], 0.0)
-    return _ServoLaws(stiffness, damping, latency)
+    return laws
 
 
 def _search(samples: _Samples, latency: Floats) -> Floats:
