@@ -43,6 +43,13 @@ def from_rotation_vector(vector: Floats) -> Floats:
     return np.concatenate([np.cos(0.5 * angle), scale * vector], axis=-1)
 
 
+def angle_between(a: Floats, b: Floats) -> Floats:
+    """The angle ``(...)`` [rad], in [0, pi], of the turn between orientations ``(..., 4)``."""
+    turn = multiply(a, inverse(b))
+    sine = np.sqrt((turn[..., 1:] ** 2).sum(axis=-1))
+    return 2.0 * np.arctan2(sine, np.abs(turn[..., 0]))
+
+
 def cross(a: Floats, b: Floats) -> Floats:
     """The cross product along the last axis (numpy's is an order slower for small arrays)."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]

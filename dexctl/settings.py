@@ -93,6 +93,41 @@ Vector = Annotated[
 """A direction by name, or as three numbers; "x,y,z" on the command line."""
 
 
+def _read_quaternion(words: list[str]) -> tuple[float, float, float, float]:
+    try:
+        w, x, y, z = (float(part) for part in words[0].split(","))
+    except ValueError:
+        raise ValueError(f"{words[0]!r} is no orientation; expected w,x,y,z") from None
+    return w, x, y, z
+
+
+Quaternion = Annotated[
+    tuple[float, float, float, float],
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="W,X,Y,Z",
+        instance_from_str=_read_quaternion,
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [",".join(f"{number:g}" for number in value)],
+    ),
+]
+"""An orientation, wxyz; "w,x,y,z" on the command line."""
+
+Quaternions = Annotated[
+    tuple[tuple[float, float, float, float], ...],
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="[W,X,Y,Z ...]",
+        instance_from_str=lambda words: tuple(_read_quaternion([word]) for word in words),
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [
+            ",".join(f"{number:g}" for number in each) for each in value
+        ],
+    ),
+]
+"""Several orientations, each as `Quaternion`."""
+
+
 def _read_range(words: list[str]) -> tuple[float, float]:
     try:
         low, high = (float(part) for part in words[0].split(","))

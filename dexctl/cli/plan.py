@@ -22,6 +22,7 @@ from dexctl.planning import (
     ControllerMacros,
     Expansion,
     FollowedEdges,
+    GoalOrientations,
     Kinematic,
     Metric,
     Progress,
@@ -32,15 +33,17 @@ from dexctl.planning import (
     grow_in_processes,
     holding,
 )
+from dexctl.planning.goals import shown_goal
 from dexctl.planning.grow import check_ends
 from dexctl.planning.processes import part_files
 from dexctl.planning.tree import TREE
-from dexctl.settings import NESTED, Vector
+from dexctl.settings import NESTED, Quaternion, Vector
 from dexctl.sim import Scene, SceneConfig
 from dexctl.statistics import wilson
 from dexctl.validation import unit_axis
 
 FIGURES = "plan.json"
+_SECONDS = 60.0  # a tree towards goals has this long where nothing says how long [s]
 _CHECKED = 256  # nodes of a tree grown without physics that are held in simulation
 
 
@@ -48,8 +51,10 @@ _CHECKED = 256  # nodes of a tree grown without physics that are held in simulat
 class Plan:
     """Grow a tree of grasps that turn an object.
 
-    Where nothing says when to stop, it stops after a full turn. The tree in the folder is whole at
-    any moment: after Ctrl-C, --resume goes on with it. `dexctl plan show` films and draws it.
+    Where nothing says when to stop, it stops after a full turn, or towards goal orientations when
+    all are reached, after a minute at the latest; where one is not, it fails. The tree in the
+    folder is whole at any moment: after Ctrl-C, --resume goes on with it. `dexctl plan show` films
+    and draws it.
     """
 
     expand: str = "controllers"
@@ -79,6 +84,7 @@ class Plan:
     controllers: ControllerMacros = field(default_factory=ControllerMacros)
     random: RandomActions = field(default_factory=RandomActions)
     followed: FollowedEdges = field(default_factory=FollowedEdges)
+    goals: GoalOrientations = field(default_factory=GoalOrientations)
     metric: Metric = field(default_factory=Metric)
     bounds: Bounds = field(default_factory=Bounds)
     stability: Stability = field(default_factory=Stability)
@@ -92,20 +98,20 @@ class Plan:
             )
         path = make_folder(self.out) / TREE
         tree = self._tree(path)
-        until = self.until_rotation
-        if until is None and self.nodes is None and self.seconds is None:
-            until = 2 * math.pi
+        until, seconds = self.until_rotation, self.seconds
+        if until is None and self.nodes is None and seconds is None:
+            until, seconds = (None, _SECONDS) if len(self.goals) else (2 * math.pi, None)
         jobs = self._jobs()
         (scene,) = self.scene.scenes()
         ends: dict[str, Any] = {
-            "nodes": self.nodes, "seconds": self.seconds, "until_rotation": until, "axis": axis,
+            "nodes": self.nodes, "seconds": seconds, "until_rotation": until, "axis": axis,
             "seed": self.seed, "metric": self.metric, "bounds": self.bounds,
-            "stability": self.stability, "path": path,
+            "stability": self.stability, "goals": self.goals, "path": path,
         }  # fmt: skip
-        check_ends(self.nodes, self.seconds, until, self.bounds)
+        check_ends(self.nodes, seconds, until, self.bounds, self.goals)
         try:
             with ExitStack() as stack:
-                show = _Bar(stack, self.nodes, self.seconds, until)
+                show = _Bar(stack, self.nodes, seconds, until)
                 if jobs == 1:
                     tree = grow(
                         scene, expansion, threads=self.scene.threads, tree=tree,
@@ -122,12 +128,22 @@ class Plan:
         found = describe(tree)
         if not tree.header.physics_steps:
             found["holds"] = self._held(scene, tree)
+        away = self.goals.away(tree.nodes.object_quaternion)
+        if len(away):
+            found["goal_away_rad"] = away.tolist()
         self._write(found)
         if self.json:
             print_json(found)
         else:
             _print(tree, found)
-        return 0
+        for goal, far in zip(self.goals.orientations, away, strict=True):
+            if far > self.goals.angle:
+                notes().print(
+                    f"goal {shown_goal(goal)} is not reached: the nearest of {len(tree)} nodes is "
+                    f"{far:.2f} rad from it",
+                    soft_wrap=True,
+                )
+        return int((away > self.goals.angle).any())
 
     def _expansion(self) -> Expansion:
         known: dict[str, Expansion] = {
@@ -198,6 +214,8 @@ class Show:
     """The file, or the folder that it is in."""
     out: Path | None = None
     """Folder for the film and the picture; none: where the tree is."""
+    goal: Quaternion | None = None
+    """Orientation, wxyz, to which the path gets nearest; none: the greatest rotation."""
     json: Switch = False
     """Print one JSON object."""
 
@@ -207,7 +225,7 @@ class Show:
         tree = Tree.load(source)
         folder = make_folder(self.out or (source if source.is_dir() else source.parent))
         found = describe(tree)
-        (path,) = tree.paths(1)
+        (path,) = tree.paths(1, goal_quaternion=self.goal)
         found["path"] = path.tolist()
         from dexctl.report.tree import draw, film
 
@@ -257,6 +275,9 @@ def _print(tree: Tree, found: dict[str, Any]) -> None:
         ("physics steps", f"{header.physics_steps}"),
     ):
         shown.add_row(what, value)
+    if "goal_away_rad" in found:
+        left = ", ".join(f"{far:.2f}" for far in found["goal_away_rad"])
+        shown.add_row("nearest to goals", f"{left} rad")
     if "holds" in found:
         part, (low, high) = found["holds"], found["holds"]["wilson95"]
         shown.add_row(

@@ -5,6 +5,7 @@ from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
 from dexctl.planning.followed import FollowedEdges
 from dexctl.planning.following import PlannedGait
 from dexctl.planning.following_config import PlannedGaitChanges, PlannedGaitConfig
+from dexctl.planning.goals import GoalOrientations
 from dexctl.planning.grow import Progress, grow
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.holding import holding
@@ -27,6 +28,7 @@ __all__ = [
     "Expansion",
     "FollowedEdges",
     "Frame",
+    "GoalOrientations",
     "GraspSampling",
     "Kinematic",
     "Metric",

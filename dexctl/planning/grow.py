@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expansion, Problem
+from dexctl.planning.goals import GoalOrientations
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.metric import Metric, Nearest
 from dexctl.planning.nodes import Frame, root_of
@@ -52,6 +53,7 @@ def grow(
     nodes: int | None = None,
     seconds: float | None = None,
     until_rotation: float | None = None,
+    goals: GoalOrientations | None = None,
     axis: ArrayLike = (0.0, 0.0, 1.0),
     seed: int = 0,
     metric: Metric | None = None,
@@ -67,7 +69,7 @@ def grow(
 
     A random point of the state space is drawn, the nearest node is expanded towards it, and what
     holds becomes its child; a batch of points at a time. It stops at whichever comes first of
-    ``nodes``, ``seconds`` and ``until_rotation``.
+    ``nodes``, ``seconds``, ``until_rotation`` and a node near each of the goals.
 
     Args:
         scene: hand, object and gravity.
@@ -75,6 +77,7 @@ def grow(
         nodes: how many are wanted.
         seconds: of wall time.
         until_rotation: of some node about the axis [rad].
+        goals: orientations to be reached; None: it is only turned about the axis.
         axis: of the rotation, hand frame, ``(3,)`` or by name.
         seed: the same seed, batch and number of expansions give the same tree.
         metric, bounds, stability: None: their defaults.
@@ -86,16 +89,19 @@ def grow(
         progress: called after every batch; where it returns True, the tree is left as it is.
 
     Raises:
-        InvalidInput: nothing says when to stop, or a tree of another hand, object or gravity.
+        InvalidInput: nothing says when to stop, a goal has the axis upside down, or a tree of
+            another hand, object or gravity.
         SimulationError: the object does not stay in the hand.
     """
-    bounds = bounds or Bounds()
-    check_ends(nodes, seconds, until_rotation, bounds)
+    bounds, goals = bounds or Bounds(), goals or GoalOrientations()
+    check_ends(nodes, seconds, until_rotation, bounds, goals)
     root = root_of(scene)
+    frame = Frame.of(axis, root)
+    bounds = goals.widened(bounds, frame)
     problem = Problem(
         scene=scene,
         root=root,
-        frame=Frame.of(axis, root),
+        frame=frame,
         metric=metric or Metric(),
         bounds=bounds,
         stability=stability or Stability(),
@@ -103,7 +109,7 @@ def grow(
     )
     expander = expansion.open(problem)
     try:
-        tree = _begin(problem, expansion, expander.action_names, seed, tree)
+        tree = _begin(problem, expansion, goals, expander.action_names, seed, tree)
         if scene_config is not None:
             tree.header.scene = to_plain(scene_config)
         search = Nearest(len(scene.hand.joint_names) + 6)
@@ -113,9 +119,11 @@ def grow(
         spent = tree.header.seconds
         wait = _BLOCK
         best = float(tree.rotation.max())
+        away = goals.away(tree.nodes.object_quaternion)
         while not (
             (nodes is not None and len(tree) >= nodes)
             or (until_rotation is not None and best >= until_rotation)
+            or (len(goals) and away.max() <= goals.angle)
             or (seconds is not None and perf_counter() - start >= seconds)
         ):
             # a generator of the number of expansions: a tree that is resumed goes on as it would
@@ -124,6 +132,7 @@ def grow(
             targets = bounds.targets(
                 problem.frame, problem.metric, root.q[0], limits, rng, expander.batch
             )
+            targets = goals.drawn(problem.frame, problem.metric, targets, rng)
             near = search(targets)
             found = expander(tree.nodes.take(near), targets, rng)
             header.expansions += expander.batch
@@ -137,6 +146,7 @@ def grow(
             if count:
                 search.add(problem.metric.of(problem.frame, found.nodes))
                 best = max(best, float(found.nodes.rotation.max()))
+                away = np.minimum(away, goals.away(found.nodes.object_quaternion))
             if progress is not None:
                 told = progress(
                     Progress(
@@ -163,12 +173,16 @@ def grow(
 
 
 def check_ends(
-    nodes: int | None, seconds: float | None, until_rotation: float | None, bounds: Bounds
+    nodes: int | None,
+    seconds: float | None,
+    until_rotation: float | None,
+    bounds: Bounds,
+    goals: GoalOrientations,
 ) -> None:
     """Raise InvalidInput where nothing says when a tree is done, or what does cannot be reached."""
-    if nodes is None and seconds is None and until_rotation is None:
+    if nodes is None and seconds is None and until_rotation is None and not len(goals):
         raise InvalidInput(
-            "grow is told no end; expected nodes, seconds or until_rotation, or several"
+            "grow is told no end; expected nodes, seconds, until_rotation or goals, or several"
         )
     for name, value in (("nodes", nodes), ("seconds", seconds), ("until_rotation", until_rotation)):
         if value is not None and not (np.isfinite(value) and value > 0):
@@ -183,6 +197,7 @@ def check_ends(
 def _begin(
     problem: Problem,
     expansion: Expansion,
+    goals: GoalOrientations,
     action_names: tuple[str, ...],
     seed: int,
     tree: Tree | None,
@@ -195,6 +210,7 @@ def _begin(
             ("metric", problem.metric),
             ("bounds", problem.bounds),
             ("stability", problem.stability),
+            ("goals", goals),
         )
     }
     header = TreeHeader.of(

@@ -34,7 +34,7 @@ class TreeHeader:
         axis: of the rotation, unit.
         expansion: the way of expanding, by its class.
         action_names: what the columns of the actions are.
-        settings: of expansion, metric, bounds and stability, by name.
+        settings: of expansion, metric, bounds, stability and goals, by name.
         versions: of dexctl, MuJoCo and numpy.
         seed: of its random numbers.
         scene: of `SceneConfig`, where the scene was built from one.

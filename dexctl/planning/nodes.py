@@ -99,11 +99,13 @@ class Frame:
     def tilt(self, quaternion: Floats) -> Floats:
         """How the carried axis leans, along the two directions across it, ``(..., 2)`` [rad]."""
         lean = rotate(quaternion, np.broadcast_to(self.carried_axis, (*quaternion.shape[:-1], 3)))
-        flat = lean @ self.across.T
+        flat, upright = lean @ self.across.T, (lean @ self.axis)[..., None]
         sine = np.sqrt((flat * flat).sum(axis=-1, keepdims=True))
-        angle = np.arctan2(sine, (lean @ self.axis)[..., None])
+        angle = np.arctan2(sine, upright)
         scale: Floats = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)
-        return np.multiply(flat, scale)
+        # upside down, every direction is as far: one of them
+        over = (sine <= 1e-9) & (upright < 0)
+        return np.where(over, [np.pi, 0.0], np.multiply(flat, scale))
 
     def rotation(self, quaternion: Floats, near: Floats) -> Floats:
         """Angle about the axis since the root that is nearest to ``near``, ``(...)`` [rad].

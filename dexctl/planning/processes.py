@@ -143,7 +143,9 @@ def _work(
             scene, expansion, scene_config=scene_config, path=part, threads=1, progress=watch,
             tree=Tree.load(part) if part.exists() else None, **arguments,
         )  # fmt: skip
-        if tree.rotation.max() >= (arguments.get("until_rotation") or np.inf):
+        goals = arguments.get("goals")
+        arrived = goals and (goals.away(tree.nodes.object_quaternion) <= goals.angle).all()
+        if arrived or tree.rotation.max() >= (arguments.get("until_rotation") or np.inf):
             stop.set()
     except KeyboardInterrupt:
         pass  # the tree is in its file

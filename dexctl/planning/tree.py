@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.files import aside
+from dexctl.planning.goals import shown_goal, unit_quaternions
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.nodes import NODE_FIELDS, Frame, Nodes
+from dexctl.rotations import angle_between
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Floats
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 Indices = NDArray[np.intp]
 TREE = "tree.npz"
 """Name of the file in a folder."""
+_BEYOND = 0.5  # goals further than this from every node are none of the tree's [rad]
 _COLUMNS = (*NODE_FIELDS, "parent", "action", "expansion")
 
 
@@ -154,7 +157,14 @@ class Tree:
             found.append(int(parent[found[-1]]))
         return np.array(found[::-1], np.intp)
 
-    def paths(self, n: int, goal: ArrayLike | None = None, *, whole: bool = True) -> list[Indices]:
+    def paths(
+        self,
+        n: int,
+        goal: ArrayLike | None = None,
+        *,
+        goal_quaternion: ArrayLike | None = None,
+        whole: bool = True,
+    ) -> list[Indices]:
         """Paths from the root to the nodes nearest to goals (thesis chapter 5, Alg. R x R).
 
         The nodes of a path are taken out of the choice, so each path ends elsewhere.
@@ -162,34 +172,32 @@ class Tree:
         Args:
             n: how many; fewer are found where the nodes run out.
             goal: rotation to be nearest to [rad], one number or ``(n,)``; None: the greatest.
+            goal_quaternion: orientation to be nearest to instead, wxyz, one ``(4,)`` or ``(n, 4)``;
+                see `GoalOrientations`.
             whole: a path runs from the root, through nodes of earlier ones where they share them;
                 False: it begins after the last node that an earlier one has taken, as in the
                 thesis, where what is deleted is gone.
 
         Raises:
-            InvalidInput: not a whole number of paths, or a goal that is beyond the tree.
+            InvalidInput: not a whole number of paths, both kinds of goal, or one that is beyond the
+                tree.
         """
         if not isinstance(n, (int, np.integer)) or isinstance(n, bool) or n < 1:
             raise InvalidInput(f"n is {n!r}; expected a whole number of paths above 0")
-        goals = np.broadcast_to(np.inf if goal is None else np.asarray(goal, float), (n,))
-        least, most = float(self.rotation.min()), float(self.rotation.max())
-        beyond = np.isnan(goals) | (
-            np.isfinite(goals) & ((goals > most + 0.5) | (goals < least - 0.5))
-        )
-        if beyond.any():
-            raise InvalidInput(
-                f"goal is {goals[beyond][0]:g} rad; the tree reaches {least:.2f} to {most:.2f}"
-            )
+        if goal_quaternion is not None:
+            if goal is not None:
+                raise InvalidInput("goal and goal_quaternion are both given; expected one of them")
+            away = self._away(n, goal_quaternion)
+        else:
+            away = self._rotation_left(n, goal)
         free = np.ones(len(self), bool)
         free[0] = len(self) == 1
         found: list[Indices] = []
-        for wanted in goals:
+        for each in away:
             left = np.flatnonzero(free)
             if not len(left):
                 break
-            turned = self.rotation[left]
-            nearest = turned.argmax() if np.isinf(wanted) else np.abs(turned - wanted).argmin()
-            path = self.path_to(int(left[nearest]))
+            path = self.path_to(int(left[each[left].argmin()]))
             if not whole:
                 # every path may have the root; after that, only what no other has had
                 last = max(np.flatnonzero(~free[path]), default=0)
@@ -197,6 +205,37 @@ class Tree:
             free[path] = False
             found.append(path)
         return found
+
+    def _rotation_left(self, n: int, goal: ArrayLike | None) -> Iterator[Floats]:
+        """How far each node is from each of n rotations, or from the greatest."""
+        goals = np.broadcast_to(np.inf if goal is None else np.asarray(goal, float), (n,))
+        least, most = float(self.rotation.min()), float(self.rotation.max())
+        beyond = np.isnan(goals) | (
+            np.isfinite(goals) & ((goals > most + _BEYOND) | (goals < least - _BEYOND))
+        )
+        if beyond.any():
+            raise InvalidInput(
+                f"goal is {goals[beyond][0]:g} rad; the tree reaches {least:.2f} to {most:.2f}"
+            )
+        turned = self.rotation
+        return (-turned if np.isinf(one) else np.abs(turned - one) for one in goals)
+
+    def _away(self, n: int, goal: ArrayLike) -> Iterator[Floats]:
+        """How far each node is from each of n orientations [rad]."""
+        goals = unit_quaternions("goal_quaternion", goal)
+        if goals.shape not in ((4,), (n, 4)):
+            raise InvalidInput(
+                f"goal_quaternion has shape {goals.shape}; expected (4,) or ({n}, 4)"
+            )
+        own = self._column("object_quaternion")
+        for one in np.atleast_2d(goals):
+            least = float(angle_between(own, one).min())
+            if least > _BEYOND:
+                raise InvalidInput(
+                    f"goal_quaternion {shown_goal(one)} is {least:.2f} rad from the nearest of "
+                    f"{len(self)} nodes; expected {_BEYOND} at most"
+                )
+        return (angle_between(own, one) for one in np.broadcast_to(goals, (n, 4)))
 
     def to_networkx(self) -> networkx.DiGraph:
         """A directed graph from parents to children; nodes have their rotation and cost.

@@ -7,19 +7,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from dexctl.rotations import from_rotation_vector, inverse, multiply
+from dexctl.rotations import angle_between, from_rotation_vector, inverse, multiply
 from dexctl.state import Bools, Floats
 from dexctl.streams import Streams
 
 Goals = Literal["root", "yaw", "cube", "uniform"]
 GOALS: tuple[str, ...] = get_args(Goals)
-
-
-def angle_between(a: Floats, b: Floats) -> Floats:
-    """The angle ``(...)`` [rad], in [0, pi], of the turn between orientations ``(..., 4)``."""
-    turn = multiply(a, inverse(b))
-    sine = np.sqrt((turn[..., 1:] ** 2).sum(axis=-1))
-    return 2.0 * np.arctan2(sine, np.abs(turn[..., 0]))
 
 
 def cube_rotations() -> Floats:

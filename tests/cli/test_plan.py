@@ -76,6 +76,27 @@ def test_a_tree_without_physics_is_checked_in_simulation(
     assert found["holds"]["of"] >= 200 and found["holds"]["share"] > 0.9
 
 
+def test_goals_are_reached_or_it_says_which_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["plan", "--expand", "kinematic", "--object", "cube", "--kinematic.batch", "32"]
+    words += ["--threads", "1", "--json", "--goals.orientations", "0.9553,0,0,0.2955"]
+    assert main([*words, "--out", str(tmp_path / "yaw")]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["goal_away_rad"][0] <= 0.2
+    assert found["settings"]["goals"]["orientations"] == [[0.9553, 0, 0, 0.2955]]
+    # a second one that no tree of some hundred nodes gets to
+    words += ["0.5403,0.8415,0,0", "--nodes", "300", "--out", str(tmp_path / "tilt")]
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["goal_away_rad"][1] > 0.2
+    assert "goal (0.54, 0.842, 0, 0) is not reached: the nearest of" in said.err
+    wrong = ["--goals.orientations", "1,1,0,0", "--out", str(tmp_path / "no")]
+    assert main(["plan", *wrong]) == 2
+    why = "a goal is (1, 1, 0, 0); expected a unit quaternion, wxyz"
+    assert why in " ".join(capsys.readouterr().err.split())
+
+
 def test_episodes_start_from_a_tree(folder: Path) -> None:
     tree = Tree.load(folder / "tree.npz")
     config = SceneConfig(

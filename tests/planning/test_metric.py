@@ -36,6 +36,9 @@ def test_tilt_is_the_lean_of_the_carried_axis_and_rotation_is_not() -> None:
     tilt = frame.tilt(leaning)
     assert np.linalg.norm(tilt) == pytest.approx(0.3)
     np.testing.assert_allclose(tilt @ frame.across, [0, -0.3, 0], atol=1e-12)
+    for over in (np.pi, np.pi - 1e-6):  # exactly upside down is as far as can be, not upright
+        tilt = frame.tilt(turned([1.0, 0.0, 0.0], over))
+        assert np.linalg.norm(tilt) == pytest.approx(over, abs=1e-5)
     np.testing.assert_allclose(frame.across @ frame.across.T, np.eye(2), atol=1e-12)
 
 

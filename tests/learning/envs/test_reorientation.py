@@ -11,12 +11,12 @@ import pytest
 
 import learning
 from dexctl.exceptions import DexctlError
-from dexctl.rotations import from_rotation_vector, inverse, multiply, rotate
+from dexctl.rotations import angle_between, from_rotation_vector, inverse, multiply, rotate
 from dexctl.settings import from_plain
 from dexctl.sim import SceneConfig, Simulation
 from dexctl.streams import Streams
 from learning.envs import EnvConfig, make_vector
-from learning.envs.goals import CUBE, GOALS, angle_between, draw
+from learning.envs.goals import CUBE, GOALS, draw
 from learning.envs.reorientation import (
     Moved,
     Reorientation,
