@@ -24,6 +24,7 @@ from dexctl.switch.landing import azimuth, split, turned
 from dexctl.validation import check_numbers, check_whole
 
 _SUNK = 5e-4  # how far a fingertip may sink into the object where it lands [m]
+_ALONG, _ACROSS = 0.3, 2.0  # limits of the residual about axes along the palm's direction, across
 _SWITCH_TIME, _TURNING_SPEED = 1.5, 0.35  # for the cost of an edge [s], [rad/s]
 
 
@@ -56,16 +57,18 @@ class Kinematic(Expansion):
     """How far links stay away from the object and from other fingers [m]."""
     force: float = 1.5
     """With which the mean finger is pressed on [N]."""
-    residual_limit: float = 0.3
+    residual_limit: float | None = None
     """No grasp is taken whose normal forces leave more than this to friction, as a share of the
-    grip."""
+    grip. None: 0.3, but 2 about axes across the palm's direction (more than 45 degrees from z),
+    about which edged objects get no further with less."""
     batch: int = 256
     """How many nodes are expanded at a time."""
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            positive=("step", "shift", "landing", "friction", "force", "residual_limit"),
+            positive=("step", "shift", "landing", "friction", "force"),
+            optional=("residual_limit",),
             not_negative=("height", "margin"),
             fractions=("switch", "guided"),
         )
@@ -86,6 +89,8 @@ class _KinematicExpander:
         if scene.hand.n_fingers < 3:
             raise InvalidInput(f"{scene.hand.name} has fewer than three fingers; expected more")
         self._config, self._problem, self.batch = config, problem, config.batch
+        across = abs(frame.axis[2]) < np.sqrt(0.5)
+        self._residual_limit = config.residual_limit or (_ACROSS if across else _ALONG)
         self._model = ContactModel(scene, config.friction, config.margin)
         geometry = self._model.geometry
         tip = geometry.poses(problem.root.q).centres(geometry.tips)[0]
@@ -121,7 +126,7 @@ class _KinematicExpander:
             nodes.take(rows), done.take(moved), touch[rows], position[moved], quaternion[moved],
             twist, finger[rows] >= 0,
         )  # fmt: skip
-        balanced = residual <= self._config.residual_limit
+        balanced = residual <= self._residual_limit
         refused["residual"] += int((~balanced).sum())
         within = problem.bounds.hold(problem.frame, made)
         refused["bounds"] += int((balanced & ~within).sum())

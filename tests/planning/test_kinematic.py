@@ -99,6 +99,17 @@ def test_a_finger_that_is_moved_turns_it_further(l_shape: Scene) -> None:
     assert tree.header.physics_steps == 0
 
 
+def test_about_x_more_may_be_left_to_friction() -> None:
+    cube = Scene.build("dex5", "cube", "up")
+    default, same, strict = (
+        grow(cube, Kinematic(batch=64, residual_limit=limit), nodes=400, axis="x", seed=0)
+        for limit in (None, 2.0, 0.3)
+    )
+    np.testing.assert_array_equal(default.rotation, same.rotation)
+    assert default.header.refused.get("residual", 0) < strict.header.refused["residual"]
+    assert holding(cube, default, threads=1).mean() > 0.95
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
 def test_the_projection_keeps_what_the_constraints_let_pass(seed: int, rows: int) -> None:
     rng = np.random.default_rng(seed)
