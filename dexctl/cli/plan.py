@@ -31,6 +31,7 @@ from dexctl.planning import (
     Tree,
     grow,
     grow_in_processes,
+    grow_on_cluster,
     holding,
 )
 from dexctl.planning.goals import shown_goal
@@ -76,6 +77,8 @@ class Plan:
     jobs: int | None = None
     """Processes that grow a tree each, which become one; none: one for each core, only one for
     kinematic trees, and as many as there were for those that are resumed."""
+    ray: str | None = None
+    """Address of a Ray cluster whose cores grow a tree each instead; --jobs says of how many."""
     resume: Switch = False
     """Go on with the tree in the folder."""
     json: Switch = False
@@ -112,14 +115,19 @@ class Plan:
         try:
             with ExitStack() as stack:
                 show = _Bar(stack, self.nodes, seconds, until)
-                if jobs == 1:
+                if self.ray is not None:
+                    tree = grow_on_cluster(
+                        self.scene, expansion, self.ray, jobs, progress=show, resume=self.resume,
+                        **ends,
+                    )  # fmt: skip
+                elif jobs == 1 and not (self.resume and part_files(path)):
                     tree = grow(
                         scene, expansion, threads=self.scene.threads, tree=tree,
                         scene_config=self.scene, progress=show, **ends,
                     )  # fmt: skip
                 else:
                     tree = grow_in_processes(
-                        self.scene, expansion, jobs, progress=show, resume=self.resume, **ends
+                        self.scene, expansion, jobs or 1, progress=show, resume=self.resume, **ends
                     )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
@@ -156,9 +164,16 @@ class Plan:
             raise UnknownName("--expand", self.expand, known)
         return known[self.expand]
 
-    def _jobs(self) -> int:
+    def _jobs(self) -> int | None:
+        """Trees that are grown at a time; None: as many as a cluster has cores."""
         if self.resume:
-            before = len(part_files(self.out.expanduser() / TREE)) or 1
+            parts = part_files(self.out.expanduser() / TREE)
+            if self.ray is not None and not parts:
+                raise InvalidInput(
+                    f"--ray is {self.ray}; the tree in {self.out} is of one process, which goes on "
+                    "without it"
+                )
+            before = len(parts) or 1
             if self.jobs not in (None, before):
                 raise InvalidInput(
                     f"--jobs is {self.jobs}; the tree in {self.out} is of {before} processes"
@@ -166,6 +181,8 @@ class Plan:
             return before
         if self.jobs is not None:
             return check_count("--jobs", self.jobs)
+        if self.ray is not None:
+            return None
         one = self.expand == "kinematic" or self.scene.threads is not None
         if one:
             return 1

@@ -1,6 +1,7 @@
 """Planning in the space of grasps: trees of grasps, and three ways to grow them."""
 
 from dexctl.planning.bounds import Bounds
+from dexctl.planning.cluster import grow_on_cluster
 from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
 from dexctl.planning.followed import FollowedEdges
 from dexctl.planning.following import PlannedGait
@@ -47,6 +48,7 @@ __all__ = [
     "TreeHeader",
     "grow",
     "grow_in_processes",
+    "grow_on_cluster",
     "holding",
     "path_states",
     "sample_grasps",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,8 @@ from dexctl.planning.grow import Progress, grow
 from dexctl.planning.tree import Tree
 from dexctl.sim import SceneConfig
 
-_LOOK = 0.2  # between looks at how far the processes are [s]
-_SHOWN = 4  # numbers that each shows: nodes, expansions, rotation, physics steps
+LOOK = 0.2
+"""Between looks at how far the trees are [s]."""
 
 
 def grow_in_processes(
@@ -53,14 +53,10 @@ def grow_in_processes(
         InvalidInput: as `grow`, or no whole number of processes.
         SimulationError: a process ended without a tree.
     """
-    if not isinstance(jobs, (int, np.integer)) or isinstance(jobs, bool) or jobs < 1:
-        raise InvalidInput(f"jobs is {jobs!r}; expected a whole number of processes above 0")
     target = Path(path)
-    parts = [_part(target, i) for i in range(jobs)]
-    for part in () if resume else part_files(target):
-        part.unlink(missing_ok=True)
+    parts = begin_parts(target, jobs, resume)
     context = multiprocessing.get_context("spawn")
-    stop, shown = context.Event(), context.Array("d", _SHOWN * jobs)
+    stop, shown = context.Event(), context.Array("d", numbers_of(None) * jobs)
     errors = context.SimpleQueue()
     share = None if nodes is None else -(-nodes // jobs)
     workers = [
@@ -77,26 +73,73 @@ def grow_in_processes(
         for worker in workers:
             worker.start()
         while any(worker.is_alive() for worker in workers):
-            time.sleep(_LOOK)
+            time.sleep(LOOK)
             if progress is not None:
-                progress(_sum(np.array(shown).reshape(jobs, _SHOWN), start))
+                progress(summed(np.array(shown).reshape(jobs, -1), start))
     except BaseException:
         stop.set()
         raise
     finally:
         for worker in workers:
             worker.join()
-        trees = []
-        for part in parts:
-            with suppress(InvalidInput):
-                trees.append(Tree.load(part))
-        if trees:
-            tree = Tree.merge(trees)
-            tree.save(target)
-    why = "" if errors.empty() else errors.get()
-    if len(trees) < jobs:
+        tree, grown = merge_parts(parts, target)
+    return what_grew(tree, grown, jobs, "processes", "" if errors.empty() else errors.get())
+
+
+def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:
+    """The files of ``jobs`` trees that are to become ``target``; old ones go, but to resume.
+
+    Raises:
+        InvalidInput: no whole number above 0.
+    """
+    if not isinstance(jobs, (int, np.integer)) or isinstance(jobs, bool) or jobs < 1:
+        raise InvalidInput(f"jobs is {jobs!r}; expected a whole number of processes above 0")
+    for part in () if resume else part_files(target):
+        part.unlink(missing_ok=True)
+    return [_part(target, i) for i in range(jobs)]
+
+
+def grow_part(
+    scene_config: SceneConfig,
+    expansion: Expansion,
+    part: Path,
+    watch: Callable[[Progress], object],
+    **arguments: Any,
+) -> bool:
+    """Grow the tree in the file ``part``, or a new one; whether all may stop now."""
+    (scene,) = scene_config.scenes()
+    tree = grow(
+        scene, expansion, scene_config=scene_config, path=part, threads=1, progress=watch,
+        tree=Tree.load(part) if part.exists() else None, **arguments,
+    )  # fmt: skip
+    goals, until = arguments.get("goals"), arguments.get("until_rotation")
+    arrived = bool(goals) and (goals.away(tree.nodes.object_quaternion) <= goals.angle).all()
+    return bool(arrived or (until is not None and tree.rotation.max() >= until))
+
+
+def merge_parts(parts: Sequence[Path], target: Path) -> tuple[Tree | None, int]:
+    """Write the tree of those files that are one to ``target``; it, and of how many it is."""
+    trees = []
+    for part in parts:
+        with suppress(InvalidInput):
+            trees.append(Tree.load(part))
+    if not trees:
+        return None, 0
+    tree = Tree.merge(trees)
+    tree.save(target)
+    return tree, len(trees)
+
+
+def what_grew(tree: Tree | None, grown: int, jobs: int, those: str, why: str) -> Tree:
+    """The merged tree, where each of ``jobs`` grew one and nothing went wrong.
+
+    Raises:
+        SimulationError: some ended without a tree.
+        InvalidInput: ``why``.
+    """
+    if tree is None or grown < jobs:
         raise SimulationError(
-            f"{jobs - len(trees)} of {jobs} processes ended without a tree{why and f': {why}'}"
+            f"{jobs - grown} of {jobs} {those} ended without a tree{why and f': {why}'}"
         )
     if why:
         raise InvalidInput(why)
@@ -132,20 +175,14 @@ def _work(
     parent = multiprocessing.parent_process()
 
     def watch(now: Progress) -> bool:
-        first = _SHOWN * number
-        shown[first : first + _SHOWN] = [now.nodes, now.expansions, now.rotation, now.physics_steps]
+        numbers = numbers_of(now)
+        first = len(numbers) * number
+        shown[first : first + len(numbers)] = numbers
         # who has killed the parent wants an end
         return stop.is_set() or (parent is not None and not parent.is_alive())
 
     try:
-        (scene,) = scene_config.scenes()
-        tree = grow(
-            scene, expansion, scene_config=scene_config, path=part, threads=1, progress=watch,
-            tree=Tree.load(part) if part.exists() else None, **arguments,
-        )  # fmt: skip
-        goals = arguments.get("goals")
-        arrived = goals and (goals.away(tree.nodes.object_quaternion) <= goals.angle).all()
-        if arrived or tree.rotation.max() >= (arguments.get("until_rotation") or np.inf):
+        if grow_part(scene_config, expansion, part, watch, **arguments):
             stop.set()
     except KeyboardInterrupt:
         pass  # the tree is in its file
@@ -154,7 +191,15 @@ def _work(
         stop.set()
 
 
-def _sum(shown: np.ndarray, start: float) -> Progress:
+def numbers_of(now: Progress | None) -> list[float]:
+    """What is shown of one tree: nodes, expansions, rotation, physics steps; None: of no tree."""
+    if now is None:
+        return [0.0] * 4
+    return [now.nodes, now.expansions, now.rotation, now.physics_steps]
+
+
+def summed(shown: np.ndarray, start: float) -> Progress:
+    """The progress of all trees, whose `numbers_of` are ``(jobs, 4)``, since ``start``."""
     nodes, expansions, _, steps = shown.sum(axis=0).astype(int).tolist()
     rotation = float(shown[:, 2].max())
     return Progress(nodes, expansions, rotation, time.perf_counter() - start, {}, steps)

@@ -6,20 +6,14 @@ the same wherever it runs. The folder of the sweep must be on a file system that
 
 from __future__ import annotations
 
-import logging
 import time
-from importlib.util import find_spec
 from typing import Any, Self
 
-from dexctl.exceptions import DexctlError, MissingExtra
+from dexctl.cluster import ClusterError, connect, cores, reason
 from learning.sweep.jobs import Job, outcome, write_failure
-from learning.sweep.process import ROOT, SECONDS_TO_STOP, Worker
+from learning.sweep.process import SECONDS_TO_STOP, Worker
 
 _MARKER = ".sweep"
-
-
-class ClusterError(DexctlError, RuntimeError):
-    """The Ray cluster cannot be used."""
 
 
 def run_here(text: str, marker: str) -> None:
@@ -60,22 +54,8 @@ class RayPool:
     """
 
     def __init__(self, address: str, jobs: int | None = None) -> None:
-        if find_spec("ray") is None:
-            raise MissingExtra("--ray", "distributed")
-        import ray
-
-        self._ray: Any = ray
-        try:
-            ray.init(
-                address,
-                log_to_driver=False,
-                logging_level=logging.ERROR,
-                runtime_env={"env_vars": {"PYTHONPATH": str(ROOT)}},
-            )
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise ClusterError(f"no Ray cluster at {address}: {reason}") from error
-        self.places = jobs or max(int(ray.cluster_resources().get("CPU", 1)), 1)
+        self._ray = connect(address)
+        self.places = jobs or cores(self._ray)
         self._tasks: dict[Any, Job] = {}
 
     @property
@@ -110,7 +90,7 @@ class RayPool:
             except self._ray.exceptions.RayError as error:
                 # what the job itself has to say is in its folder
                 if outcome(job.folder).state not in ("finished", "failed"):
-                    write_failure(job.folder, _reason(error))
+                    write_failure(job.folder, reason(error))
             found.append(job)
         return found
 
@@ -125,10 +105,3 @@ class RayPool:
         if left:
             self._ray.wait(left, num_returns=len(left), timeout=SECONDS_TO_STOP)
         self._ray.shutdown()
-
-
-def _reason(error: Exception) -> str:
-    """What a task failed of; Ray's own message is a traceback."""
-    cause = getattr(error, "cause", None) or error
-    lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
-    return lines[-1] if lines else type(cause).__name__

@@ -45,6 +45,8 @@ def test_it_is_resumed_and_not_written_over(
     assert "is there already; expected --resume" in capsys.readouterr().err
     assert main([*line, "--resume", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["nodes"] >= 20 > before
+    assert main([*line, "--resume", "--ray", "auto"]) == 2
+    assert "is of one process, which goes on without it" in capsys.readouterr().err
     assert main([*line, "--resume", "--gravity", "down"]) == 2
     assert "the tree is of the gravity" in capsys.readouterr().err
     assert len(Tree.load(out / "tree.npz")) >= 20

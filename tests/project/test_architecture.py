@@ -66,7 +66,7 @@ DOORS = {
     "gymnasium": ["learning/__init__.py", "learning/envs/"],
     # a peer that tests and benchmarks compare with
     "stable_baselines3": [],
-    "ray": ["learning/sweep/cluster.py"],
+    "ray": ["dexctl/cluster.py"],
     "dynamixel_sdk": ["hardware/"],
     "serial": ["hardware/"],
 }

@@ -16,10 +16,11 @@ import pytest
 pytest.importorskip("torch")
 
 from dexctl.cli.parsing import parse
+from dexctl.cluster import ClusterError
 from dexctl.exceptions import InvalidInput
 from learning.cli.sweep import Sweep
 from learning.policies import load
-from learning.sweep.cluster import ClusterError, RayPool, run_here
+from learning.sweep.cluster import RayPool, run_here
 from learning.sweep.jobs import Job, jobs, outcome
 from learning.sweep.process import LocalPool
 from learning.sweep.reading import load_sweep, parse_sweep

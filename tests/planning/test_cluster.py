@@ -1,0 +1,76 @@
+"""Tasks of a Ray cluster grow what processes would have grown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dexctl.cluster import ClusterError
+from dexctl.exceptions import InvalidInput, SimulationError
+from dexctl.planning import Progress, RandomActions, Tree, grow, grow_on_cluster
+from dexctl.planning.cluster import Board
+from dexctl.planning.processes import part_files
+from dexctl.sim import SceneConfig
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    pytest.importorskip("ray", reason="the extra 'distributed' is not installed")
+    from ray.cluster_utils import Cluster
+
+    for attempt in range(3):  # on a busy machine Ray's own processes may be too slow for Ray
+        try:
+            cluster = Cluster(
+                initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False}
+            )
+            break
+        except Exception:
+            if attempt == 2:
+                raise
+    yield cluster.address
+    cluster.shutdown()
+
+
+@pytest.mark.slow
+def test_tasks_grow_what_each_would_have_grown_and_are_resumed(
+    address: str, tmp_path: Path
+) -> None:
+    config, path = SceneConfig(object=("cylinder",)), tmp_path / "tree.npz"
+    expansion, seen = RandomActions(batch=4), list[Progress]()
+    first = grow_on_cluster(
+        config, expansion, address, 2, path=path, nodes=8, seed=5, progress=seen.append
+    )
+    (scene,) = config.scenes()
+    alone = [grow(scene, expansion, nodes=4, seed=5 + i, threads=1) for i in range(2)]
+    np.testing.assert_array_equal(first.rotation, Tree.merge(alone).rotation)
+    assert seen and len(Tree.load(path)) == len(first)
+    assert [part.name for part in part_files(path)] == [".tree.0.npz", ".tree.1.npz"]
+    more = grow_on_cluster(config, expansion, address, path=path, nodes=16, seed=5, resume=True)
+    whole = [grow(scene, expansion, nodes=8, seed=5 + i, threads=1) for i in range(2)]
+    np.testing.assert_array_equal(more.rotation, Tree.merge(whole).rotation)
+    with pytest.raises(InvalidInput, match="the tree is of the gravity"):
+        grow_on_cluster(
+            SceneConfig(object=("cylinder",), gravity="down"), expansion, address, 2,
+            path=path, nodes=20, resume=True,
+        )  # fmt: skip
+    with pytest.raises(SimulationError, match="2 of 2 tasks ended without a tree: grow is told"):
+        grow_on_cluster(config, expansion, address, 2, path=tmp_path / "none.npz")
+
+
+def test_no_cluster(tmp_path: Path) -> None:
+    pytest.importorskip("ray", reason="the extra 'distributed' is not installed")
+    with pytest.raises(ClusterError, match="no Ray cluster at nonsense"):
+        grow_on_cluster(SceneConfig(), RandomActions(), "nonsense", path=tmp_path / "tree.npz")
+
+
+def test_the_board_hands_each_tree_on_once() -> None:
+    board = Board(2)
+    assert not board.tell(1, [3, 4, 0.5, 6], b"tree")
+    shown, files = board.look()
+    assert shown.tolist() == [[0, 0, 0, 0], [3, 4, 0.5, 6]] and files == {1: b"tree"}
+    assert not board.look()[1]
+    board.stop()
+    assert board.tell(0, [1, 1, 0, 0], None)
