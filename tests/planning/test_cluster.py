@@ -30,7 +30,7 @@ def address() -> Iterator[str]:
         except Exception:
             if attempt == 2:
                 raise
-    yield cluster.address
+    yield str(cluster.address)
     cluster.shutdown()
 
 
