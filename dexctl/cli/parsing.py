@@ -152,13 +152,17 @@ _REGISTRY.primitive_rule(_optional)
 
 
 def _one_line(box: str) -> str:
-    """What stands in tyro's box above its first rule."""
-    said = []
+    """What stands in tyro's box above its first rule.
+
+    Where the terminal knows no more than ASCII, the box has no frame, and a rule below its title.
+    """
+    parts: list[list[str]] = [[]]
     for line in box.splitlines():
-        inside = line.strip(_BORDER)
-        if line.startswith(("╭", "╰")) or not inside:
-            if said:
-                break
-            continue
-        said.append(inside)
+        if line.startswith(("╭", "╰")) or not line.strip(_BORDER + "-"):
+            parts.append([])
+        else:
+            parts[-1].append(line.strip(_BORDER))
+    found = [part for part in parts if part]
+    framed = "╭" in box
+    said = next(iter(found if framed else found[1:]), [])
     return _TYRO_SAYS.sub("", " ".join(said)) or "bad arguments"

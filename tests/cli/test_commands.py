@@ -267,6 +267,20 @@ def test_bad_arguments_get_one_line_and_code_2(
     assert said in line
 
 
+def test_one_line_where_the_terminal_knows_ascii_only() -> None:
+    said = subprocess.run(
+        [sys.executable, "-m", "dexctl", "rotate", "--seconds", "long"],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert said.returncode == 2
+    assert said.stderr == (
+        "dexctl: --seconds: could not convert string to float: 'long' (see dexctl rotate --help)\n"
+    )
+
+
 def test_a_failed_run_gets_one_line_and_code_1(tmp_path: Path) -> None:
     done = dexctl_command("rotate", "--object-mass", "50")  # nothing holds 50 kg
     assert done.returncode == 1
