@@ -34,7 +34,7 @@ def test_four_fingers_hold_objects_of_their_size(
     four_fingers: HandModel, name: str, gravity: str
 ) -> None:
     scene = Scene.build(four_fingers, name, gravity)
-    assert scene.object_width == pytest.approx(0.07)
+    assert scene.object_width == pytest.approx(four_fingers.config.object.size)
     assert np.linalg.norm(scene.settled.qpos[scene.object_qpos][:3] - scene.grasp_centre) < 0.015
 
 
