@@ -156,7 +156,8 @@ class Emulator:
     def support(self, supported: bool) -> None:
         """Hold the simulated object still, or let it go at once.
 
-        It is held from the start until every finger has pressed on it with 1 N for 0.3 s.
+        It is held from the start until every finger has pressed on it for 0.3 s, with 1 N or nearly
+        as much as in the settled grasp.
         """
         self.ask("support", supported=supported)
 

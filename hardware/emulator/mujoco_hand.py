@@ -26,7 +26,8 @@ from hardware.scene import HOLDING, NOTHING
 
 FAR = 10.0  # m from the hand: where the object of an empty hand starts its fall
 GEAR_FRICTION = 0.1  # N m that holds a joint while its torque is off (ours)
-PRESSING_FORCE = 1.0  # N by every finger, over
+PRESSING_FORCE = 1.0  # N by every finger, or less where it presses less in the settled grasp,
+PRESSING_SHARE = 0.7  # then this share of it, over
 PRESSING_TIME = 0.3  # s, and the object is let go
 
 
@@ -69,6 +70,8 @@ class MujocoHand(Joints):
         self.supported = not self._empty
         self._held_at = self._object_pose()
         self._pressed = 0.0
+        settled = PRESSING_SHARE * self._state.contact_force
+        self._enough = np.minimum(PRESSING_FORCE, settled)
 
     @property
     def measured(self) -> Floats:
@@ -145,7 +148,7 @@ class MujocoHand(Joints):
             return
         position, quaternion = self._held_at
         self._sim.sim.place_object(position[None], quaternion[None])
-        pressing = (self._state.contact_force >= PRESSING_FORCE).all()
+        pressing = (self._state.contact_force >= self._enough).all()
         driven = self.commands.torque_on.all()
         self._pressed = self._pressed + h if pressing and driven else 0.0
         self.supported = self._pressed < PRESSING_TIME

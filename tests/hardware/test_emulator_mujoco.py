@@ -64,6 +64,17 @@ def test_pushes_move_what_nobody_holds() -> None:
     assert np.linalg.norm(moved[1] - moved[0]) > 1e-3
 
 
+@pytest.mark.parametrize("name", ["cylinder", "l_shape", "cuboid_long"])
+def test_an_object_that_a_finger_presses_on_softly_is_let_go_too(name: str) -> None:
+    joints = MujocoHand(replace(HOLDING, object=(name,)))
+    c = joints.commands
+    c.torque_on[:], c.kp[:], c.kd[:], c.limit[:], c.speed[:] = True, 3.0, 0.15, 0.5, 0.6
+    c.goal[:] = joints.reference[:] = np.array(joints.grasp())
+    assert joints.supported
+    joints.advance(1.0)
+    assert not joints.supported
+
+
 def test_several_objects_do_not_fit() -> None:
     with pytest.raises(InvalidInput, match="object is cube, sphere; expected one"):
         holding(object=("cube", "sphere"))
