@@ -248,7 +248,7 @@ def make(
     if file:
         options[found.file] = file
     elif found.file and found.file not in options:
-        raise InvalidInput(f"controller {name!r} needs a file; expected {name}:FILE")
+        raise InvalidInput(f"controller {name!r} needs a file; expected {_split(name)[0]}:FILE")
     if control_period is not None:
         options["control_period"] = control_period
     if axis is not None:

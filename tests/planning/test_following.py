@@ -123,6 +123,8 @@ def test_it_is_known_by_name(l_shape: Scene, part: Tree, tmp_path: Path) -> None
     assert controllers.label("planned:a/b.npz") == "planned-a-b.npz"
     with pytest.raises(InvalidInput, match="expected planned:FILE"):
         controllers.make("planned", l_shape.hand)
+    with pytest.raises(InvalidInput, match="expected planned:FILE"):
+        controllers.make("planned:", l_shape.hand)
     with pytest.raises(InvalidInput, match=r"turns about \(0.0, 0.0, 1.0\); expected"):
         controllers.make(name, l_shape.hand, axis="x")
     assert not controllers.is_named("igm:tree.npz")
