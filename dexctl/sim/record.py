@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -80,6 +81,9 @@ class Recorder:
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._partial = self.path.with_name(f".{self.path.stem}.partial{self.path.suffix}")
+            # A Ctrl-C amid a frame would make imageio kill ffmpeg, and the film with it. Only the
+            # main thread is interrupted, so another one writes.
+            self._write = ThreadPoolExecutor(1, "film")
             self._writer = self._imageio.get_writer(
                 self._partial,
                 format="FFMPEG",
@@ -99,7 +103,8 @@ class Recorder:
         before, start, _ = self._last
         while self._writer is not None and self._due <= time + 1e-9:
             part = (self._due - before) / (time - before) if time > before else 1.0
-            self._writer.append_data(self._draw(self._between(start, qpos, part), touching))
+            picture = self._draw(self._between(start, qpos, part), touching)
+            self._write.submit(self._writer.append_data, picture).result()
             self._due += self._period
         self._last = (time, qpos, touching)
 
@@ -128,7 +133,8 @@ class Recorder:
     def close(self) -> None:
         """Complete the video and put it in its place."""
         if self._writer is not None:
-            self._writer.close()
+            self._write.submit(self._writer.close).result()
+            self._write.shutdown()
             self._writer = None
             if self.path is not None and self._partial.exists():
                 self._partial.replace(self.path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -56,6 +57,45 @@ def test_video_and_picture(sphere: Scene, tmp_path: Path) -> None:
     frames = list(imageio.get_reader(path).iter_data())
     assert len(frames) == 2 * 4  # 0, 0.1, 0.2, 0.3 s
     assert frames[0].shape == (120, 160, 3)
+
+
+INTERRUPTED = """
+import os, signal, sys, threading
+from dexctl.sim import BatchSimulator, Scene
+from dexctl.sim.record import Recorder
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sim = BatchSimulator(Scene.build("dex5", "sphere"), 1)
+try:
+    with Recorder(sim.scene, sys.argv[1]) as recorder:
+        threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        while True:
+            recorder(sim)
+            sim.step()
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.usefixtures("needs_opengl")
+@pytest.mark.skipif(os.name != "posix", reason="the slow encoder is a shell script")
+def test_ctrl_c_amid_a_frame_leaves_a_film_to_look_at(tmp_path: Path) -> None:
+    """An encoder that reads nothing for the first two seconds: the frame waits in its pipe."""
+    import imageio.v2 as imageio
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    slow = tmp_path / "slow-ffmpeg"
+    slow.write_text(f'#!/bin/sh\nsleep 2\nexec "{get_ffmpeg_exe()}" "$@"\n')
+    slow.chmod(0o755)
+    path = tmp_path / "film.mp4"
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, str(path)],
+        env={**os.environ, "IMAGEIO_FFMPEG_EXE": str(slow)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 130, done.stderr
+    assert sum(1 for _ in imageio.get_reader(path)) > 0
 
 
 @pytest.mark.usefixtures("needs_opengl")
