@@ -34,7 +34,10 @@ class Controller(ABC):
     Attributes:
         hand: the hand that is controlled.
         control_period: time between two calls of :meth:`act` [s].
+        object: name of the object that it was made for, as a tree is of one; None: any.
     """
+
+    object: str | None = None
 
     def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:
         if not isinstance(hand, HandModel):

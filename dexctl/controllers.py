@@ -12,7 +12,7 @@ A controller that needs a file has it after its name: ``planned:tree.npz``.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -319,6 +319,14 @@ def resolve(
         if error.kind != "policy":
             raise
         raise UnknownName("controller", name, (*names(), *error.known, _FUNCTION)) from None
+
+
+def other_object(name: str, controller: Controller, objects: Sequence[str]) -> str | None:
+    """What to know where a controller that was made for one object is given another."""
+    others = [one for one in objects if controller.object not in (None, one)]
+    if not others:
+        return None
+    return f"{name} is made for the object {controller.object}; this is {', '.join(others)}"
 
 
 def _called(name: str, hand: HandModel, options: dict[str, Any]) -> Controller:

@@ -112,6 +112,7 @@ class Plan:
             "stability": self.stability, "goals": self.goals, "path": path,
         }  # fmt: skip
         check_ends(self.nodes, seconds, until, self.bounds, self.goals)
+        expansion.check(scene, np.array(axis))
         try:
             with ExitStack() as stack:
                 show = _Bar(stack, self.nodes, seconds, until)

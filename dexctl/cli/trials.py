@@ -99,11 +99,14 @@ def make_controller(
     own = known and controllers.entry(name).module.startswith("dexctl.")
     period = config.control_period if own else None
     try:
-        return controllers.resolve(name, hand, control_period=period, axis=about)
+        made = controllers.resolve(name, hand, control_period=period, axis=about)
     except InvalidInput as error:
-        if not known:
+        if not known or ":" in name:  # what stands after it is wrong, not the hand
             raise
         raise SimulationError(f"{name} cannot drive {hand.name}: {error}") from error
+    if remark := controllers.other_object(name, made, config.object):
+        notes().print(f"dexctl: {remark}", markup=False)
+    return made
 
 
 def paced(config: SceneConfig, controller: Controller) -> SceneConfig:

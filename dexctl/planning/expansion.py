@@ -82,6 +82,9 @@ class Expander(Protocol):
 class Expansion(ABC):
     """The settings of a way to expand, a frozen dataclass."""
 
+    def check(self, scene: Scene, axis: Floats) -> None:  # noqa: B027 - most need nothing else
+        """Raise InvalidInput where what it needs beside its numbers is missing or does not fit."""
+
     @abstractmethod
     def open(self, problem: Problem) -> Expander:
         """It, at work on a problem."""

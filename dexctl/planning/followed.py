@@ -14,8 +14,8 @@ from dexctl.planning.nodes import Nodes
 from dexctl.planning.route import Indices, Route
 from dexctl.planning.simulated import Driven, SimulatedExpander
 from dexctl.planning.tree import Tree
-from dexctl.sim import BatchSimulator
-from dexctl.state import Bools, GraspState
+from dexctl.sim import BatchSimulator, Scene
+from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import check_numbers, check_whole
 
 _LONGEST = 6.0  # an edge that is not over by then is given up [s]
@@ -51,6 +51,29 @@ class FollowedEdges(Expansion):
         check_whole(self, candidates=1, nearest=1, batch=1)
         check_numbers(self, positive=("within",), fractions=("direct",))
 
+    def check(self, scene: Scene, axis: Floats) -> None:
+        self.load(scene, axis)
+
+    def load(self, scene: Scene, axis: Floats) -> Tree:
+        """The tree whose edges are tried.
+
+        Args:
+            scene: in which.
+            axis: of the rotation, unit ``(3,)``.
+
+        Raises:
+            InvalidInput: the file is no tree, or one of another object, gravity or axis.
+        """
+        tree = Tree.load(self.tree)
+        header = tree.header
+        same = header.object == scene.object and np.allclose(header.gravity, scene.gravity)
+        if not (same and np.allclose(header.axis, axis)):
+            raise InvalidInput(
+                f"the edges are of {tree!r} under {header.gravity} about {header.axis}; the scene "
+                f"is {scene!r} about {tuple(np.asarray(axis).tolist())}"
+            )
+        return tree
+
     def open(self, problem: Problem) -> Expander:
         return SimulatedExpander(
             problem,
@@ -66,16 +89,9 @@ class _EdgeDrive:
 
     def __init__(self, config: FollowedEdges, problem: Problem) -> None:
         self._config, self._problem = config, problem
-        tree, scene = Tree.load(config.tree), problem.scene
-        header = tree.header
-        same = header.object == scene.object and np.allclose(header.gravity, scene.gravity)
-        if not (same and np.allclose(header.axis, problem.frame.axis)):
-            raise InvalidInput(
-                f"the edges are of {tree!r} under {header.gravity} about {header.axis}; the scene "
-                f"is {scene!r} about {tuple(problem.frame.axis.tolist())}"
-            )
-        self._gait = PlannedGait(scene.hand, tree)
-        self._route = Route(tree, scene.hand, self._gait.config.rotation, every=True)
+        hand, tree = problem.scene.hand, config.load(problem.scene, problem.frame.axis)
+        self._gait = PlannedGait(hand, tree)
+        self._route = Route(tree, hand, self._gait.config.rotation, every=True)
         self._gait.route = self._route
 
     def __call__(self, sim: BatchSimulator, nodes: Nodes, rng: np.random.Generator) -> Driven:

@@ -68,7 +68,7 @@ class PlannedGait(Controller):
         if not isinstance(tree, Tree):
             tree = Tree.load(tree)
         self.route = Route(tree, hand, self.config.rotation)
-        self.axis = self.route.frame.axis
+        self.axis, self.object = self.route.frame.axis, tree.header.object
         if axis is not None and not np.allclose(unit_axis(axis), self.axis, atol=1e-6):
             raise InvalidInput(
                 f"the tree turns about {tuple(self.axis.tolist())}; expected {unit_axis(axis)}"

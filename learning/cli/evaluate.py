@@ -89,7 +89,7 @@ class Evaluate:
         check_seconds(protocol.seconds, protocol.scene.control_period)
         trained = self._trained(protocol.scene.hand)
         for one in trained:
-            if remark := one.subject.remark:
+            if remark := one.subject.remark(protocol):
                 notes().print(f"dexctl: {remark}", markup=False)
         own = tuple(one.object for one in trained if self.transfer)
         replace(protocol.scene, object=(*own, *protocol.scene.object)).check_objects()

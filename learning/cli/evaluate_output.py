@@ -39,7 +39,7 @@ def described(
     else:
         what = {"policy": trained[0].name, "card": cards[0]}
         what["hand"] = identity(trained[0].subject.controller.hand)
-        what["remark"] = trained[0].subject.remark
+        what["remark"] = trained[0].subject.remark(protocol)
         what["results"] = [
             {"object": one.object, "disturbance": levels_of(one.protocol), **one.to_dict()}
             for one in found

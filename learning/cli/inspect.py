@@ -82,8 +82,8 @@ class Inspect:
             controllers.resolve(name, subject.controller.hand)
         folder = make_folder(self.out)
         with _Bar() as bar:
-            if subject.remark:
-                bar.remark(subject.remark)
+            if remark := subject.remark(protocol):
+                bar.remark(remark)
             found = inspect(subject, protocol, self.controller, progress=bar.show)
             for remark in found.remarks:
                 bar.remark(remark)

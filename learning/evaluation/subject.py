@@ -51,18 +51,21 @@ class Subject:
 
     @property
     def objects(self) -> tuple[str, ...]:
-        """What it was trained with; empty where nobody knows."""
-        return () if self.trained is None else self.trained.env.scene.object
+        """What it was trained with, or made for; empty where nobody knows."""
+        if self.trained is not None:
+            return self.trained.env.scene.object
+        return () if self.controller.object is None else (self.controller.object,)
 
     @property
     def guides(self) -> tuple[str, ...]:
         """Names of the controllers that guided the training; empty without."""
         return () if self.trained is None else self.trained.guides
 
-    @property
-    def remark(self) -> str | None:
-        """What to know before its figures are read: a policy on another hand than in training."""
-        return other_hand(self.controller) if isinstance(self.controller, Policy) else None
+    def remark(self, protocol: Protocol) -> str | None:
+        """What to know before its figures are read: another hand or object than it is made for."""
+        if isinstance(self.controller, Policy):
+            return other_hand(self.controller)
+        return controllers.other_object(self.name, self.controller, protocol.scene.object)
 
     def protocol(self, **changes: Any) -> Protocol:
         """As in training, but undisturbed: without noise, late sensors, pushes and given starts.
@@ -83,6 +86,8 @@ class Subject:
             )
         own: dict[str, Any] = {"hand": self.hand}
         own["control_period"] = float(self.controller.control_period)
+        if self.controller.object is not None:
+            own["object"] = (self.controller.object,)
         if self.axis is not None:
             own["axis"] = self.axis
         return changed(base, own | changes)

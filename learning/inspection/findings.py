@@ -217,7 +217,7 @@ def inspect(
         progress=lambda now: tell("rollouts", now / protocol.seconds),
     )
     name = rollouts.evaluation.object
-    if subject.objects and name not in subject.objects:
+    if subject.trained is not None and name not in subject.objects:
         remarks.append(
             f"The policy was trained with {', '.join(subject.objects)}, not with {name}."
         )

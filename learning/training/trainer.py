@@ -64,6 +64,7 @@ def train(
     try:
         if trainer.env.simulation.starts is not None:  # those of a file
             check_starts(trainer.env, remark or (lambda text: None))
+        trainer.begin()
         with folder.lock():
             folder.create(config)
             folder.note_hand(trainer.env.hand)
@@ -106,6 +107,8 @@ def resume(
         trainer = Trainer(config, folder, report, remark)
         try:
             folder.note_hand(trainer.env.hand)
+            if saved is None:
+                trainer.begin()
             return trainer.run(saved)
         finally:
             trainer.close()
@@ -191,20 +194,21 @@ class Trainer:
 
     def _prepare(self) -> None:
         """What comes before the first step of a new run."""
-        if self.config.begin_from is not None:
-            self._begin_from(RunFolder(self.config.begin_from))
         if self.env.simulation.starts is None:
             return
         if self.config.imitation.imitated != "none":
             imitate(self.algorithm, self.env, self.config.imitation, self.config.seed)
         self._observation, _ = self.env.reset(seed=self.config.seed)
 
-    def _begin_from(self, other: RunFolder) -> None:
-        """Take the networks of another run.
+    def begin(self) -> None:
+        """Take the networks of another run, where the configuration names one.
 
         Raises:
             InvalidInput: it has no checkpoint, or networks of another shape.
         """
+        if self.config.begin_from is None:
+            return
+        other = RunFolder(self.config.begin_from)
         saved = other.read_checkpoint()
         if saved is None:
             raise InvalidInput(f"begin_from is {other.path}, which has no checkpoint")

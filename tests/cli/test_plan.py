@@ -118,6 +118,7 @@ def test_what_plan_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--nodes", "-1"], "nodes is -1; expected a number above 0"),
         (["--until-rotation", "30"], "until_rotation is 30"),
         (["--resume"], "cannot be read"),
+        (["--expand", "followed", "--followed.tree", "no.npz", "--jobs", "2"], "no.npz' cannot be"),
     ):
         assert main(["plan", *words, "--out", str(tmp_path)]) == 2
         assert why in capsys.readouterr().err

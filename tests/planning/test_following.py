@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dexctl import controllers
+from dexctl.cli import main
 from dexctl.exceptions import InvalidInput
 from dexctl.planning import Kinematic, PlannedGait, Route, Tree, grow
 from dexctl.planning.nodes import put
@@ -109,16 +110,26 @@ def test_after_a_turn_it_goes_on_from_a_turn_before(cylinder: Scene, whole: Tree
     assert gait.diagnostics["finger"][0] >= 0
 
 
-def test_it_is_known_by_name(l_shape: Scene, part: Tree, tmp_path: Path) -> None:
+def test_it_is_known_by_name(
+    l_shape: Scene, part: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     name = f"planned:{tmp_path / 'tree.npz'}"
     with pytest.raises(InvalidInput, match=r"tree.npz' cannot be read"):
         controllers.make(name, l_shape.hand)
+    assert main(["rotate", "--controller", name]) == 2  # the file is wrong, not the hand
+    assert "cannot be read" in capsys.readouterr().err
     part.save(tmp_path / "tree.npz")
     for made in (
         controllers.make(name, l_shape.hand, control_period=0.02),
         controllers.resolve(name, l_shape.hand, control_period=0.02, axis=(0.0, 0.0, 1.0)),
     ):
         assert isinstance(made, PlannedGait) and made.control_period == 0.02
+    assert made.object == "l_shape"
+    assert controllers.other_object(name, made, ("l_shape",)) is None
+    assert controllers.other_object(name, made, ("l_shape", "cube")) == (
+        f"{name} is made for the object l_shape; this is cube"
+    )
+    assert controllers.other_object("igm", controllers.make("igm", l_shape.hand), ("cube",)) is None
     assert controllers.entry(name).title == "planned gait"
     assert controllers.label("planned:a/b.npz") == "planned-a-b.npz"
     with pytest.raises(InvalidInput, match="expected planned:FILE"):

@@ -13,6 +13,8 @@ import pytest
 
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.planning import Kinematic, grow
+from dexctl.sim import Scene
 from learning import policies
 from learning.cli.evaluate import Evaluate
 from learning.evaluation import Protocol, open_subject
@@ -252,6 +254,22 @@ def test_cards_of_other_versions_are_read_as_far_as_they_matter(policy_of: MakeP
     assert (subject.objects, subject.guides) == (("sphere",), ())
     assert subject.protocol(axis="y").scene.gravity == "down"
     assert open_subject(policy_of({})).protocol() == Protocol()
+
+
+def test_a_controller_for_one_object_is_evaluated_with_that_object(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = Scene.build("dex5", "cylinder", "up")
+    grow(scene, Kinematic(batch=32), until_rotation=0.4, path=tmp_path / "tree.npz")
+    name, short = f"planned:{tmp_path / 'tree.npz'}", ("--episodes", "1", "--seconds", "0.1")
+    assert run(name, *short, "--json") == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["protocol"]["scene"]["object"] == ["cylinder"]
+    assert "is made for" not in said.err
+    assert run(name, *short, "--object", "cube") == 0
+    assert "tree.npz is made for the object cylinder; this is cube" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def test_goals_have_figures_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:

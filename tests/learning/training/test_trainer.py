@@ -267,7 +267,7 @@ def test_a_run_may_begin_with_the_networks_of_another(
         method="rl", steps=100, begin_from=tmp_path / "first", gravity_tilt=3.0, drop_cost=5.0
     )
     trainer = Trainer(config, RunFolder(tmp_path / "second"))
-    trainer._prepare()
+    trainer.begin()
     state = trainer.algorithm.state_dict()
     trainer.close()
     for name, one in saved["algorithm"]["networks"].items():
@@ -290,3 +290,4 @@ def test_networks_that_do_not_fit(
     config = small(**{"method": "rl", "begin_from": tmp_path / "first"} | changes)
     with pytest.raises(InvalidInput, match=text):
         train(config, tmp_path / "second")
+    assert not (tmp_path / "second").exists()
