@@ -6,7 +6,8 @@ control_period=..., **options)``, without ``control_period`` where the controlle
 returns the `Controller`. One that names a keyword ``axis`` can be told about which axis to turn the
 object; any other turns about z. It is loaded when it is made, not before.
 
-A controller that needs a file has it after its name: ``planned:tree.npz``.
+A controller that needs a file, or another controller, has it after its name:
+``planned:tree.npz``, ``steered:goal``.
 """
 
 from __future__ import annotations
@@ -70,7 +71,8 @@ class ControllerEntry:
         title: what people read.
         description: one line.
         module, attribute: where the class is.
-        file: the keyword that takes the file that stands after the name and a colon; "": none does.
+        file: the keyword that takes what stands after the name and a colon; "": none does.
+        wanted: what that is.
     """
 
     name: str
@@ -79,6 +81,7 @@ class ControllerEntry:
     module: str
     attribute: str
     file: str = ""
+    wanted: str = "FILE"
 
     def load(self) -> Callable[..., Controller]:
         """The controller's class, or what another package registered in its place.
@@ -127,6 +130,15 @@ _CONTROLLERS = {
             description="brings the object to a goal orientation: gaits about one axis, then tilts",
             module="dexctl.gait",
             attribute="GoalGait",
+        ),
+        ControllerEntry(
+            name="steered",
+            title="steered to a goal",
+            description="has another controller, steered:NAME, turn the object to a goal",
+            module="dexctl.controllers",
+            attribute="steered",
+            file="turner",
+            wanted="NAME",
         ),
         ControllerEntry(
             name="planned",
@@ -248,7 +260,7 @@ def make(
     if file:
         options[found.file] = file
     elif found.file and found.file not in options:
-        raise InvalidInput(f"controller {name!r} needs a file; expected {_split(name)[0]}:FILE")
+        raise InvalidInput(f"controller {name!r} needs more; expected {found.name}:{found.wanted}")
     if control_period is not None:
         options["control_period"] = control_period
     if axis is not None:
@@ -319,6 +331,31 @@ def resolve(
         if error.kind != "policy":
             raise
         raise UnknownName("controller", name, (*names(), *error.known, _FUNCTION)) from None
+
+
+def steered(
+    hand: HandModel,
+    *,
+    turner: str,
+    control_period: float | None = None,
+    axis: tuple[float, float, float] | None = None,
+    **changes: Any,
+) -> Controller:
+    """The controller of the name "steered": a `dexctl.gait.GoalSteering` of another one.
+
+    Args:
+        hand: the hand.
+        turner: who turns the object, as `resolve` takes it.
+        control_period, axis: of that one.
+        **changes: settings of `GoalSteeringConfig`.
+
+    Raises:
+        UnknownName, InvalidInput: no such turner, or a setting is wrong.
+    """
+    from dexctl.gait import GoalSteering  # the others are loaded when they are made, too
+
+    found = resolve(turner, hand, control_period=control_period, axis=axis)
+    return GoalSteering(hand, turner=found, **changes)
 
 
 def other_object(name: str, controller: Controller, objects: Sequence[str]) -> str | None:

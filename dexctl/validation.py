@@ -157,17 +157,17 @@ def unit_axis(axis: object) -> tuple[float, float, float]:
     return x, y, z
 
 
-class Turnable(Protocol):
-    """Settings of a controller that turns objects: a dataclass."""
+class Settings(Protocol):
+    """Settings of a controller: a dataclass.
+
+    Those of one that turns objects have ``about(axis)``: the same with the rotation about ``axis``
+    ``(3,)``, at the same speed.
+    """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
-    def about(self, axis: object) -> Any:
-        """The same with the rotation about ``axis`` ``(3,)``, at the same speed."""
-        ...
 
-
-C = TypeVar("C", bound=Turnable)
+C = TypeVar("C", bound=Settings)
 
 CONSTRUCTOR = ("control_period", "axis")
 """Keywords of controllers beside their settings."""
@@ -193,7 +193,7 @@ def with_changes(
     if not isinstance(config, kind):
         raise InvalidInput(f"config is {config!r}; expected a {kind.__name__}, or None")
     check_settings(kind, changes, CONSTRUCTOR)
-    changed = cast(C, replace(config, **changes))
+    changed = cast(Any, replace(config, **changes))
     return changed if axis is None else changed.about(axis)
 
 

@@ -52,10 +52,7 @@ class GoalGaitConfig:
                 f"align_angle is {self.align_angle} and turn_angle {self.turn_angle}; expected the "
                 "first to be no greater"
             )
-        if self.goal is not None:
-            length = np.linalg.norm(self.goal) if np.shape(self.goal) == (4,) else np.nan
-            if not abs(length - 1.0) <= 0.01:
-                raise InvalidInput(f"goal is {self.goal}; expected a unit quaternion, wxyz")
+        check_goal(self.goal)
 
     @classmethod
     def suiting(cls, hand: HandModel) -> GoalGaitConfig:
@@ -220,6 +217,14 @@ class GoalGait(Controller):
 
 
 _HALF_TURN = 0.3  # how near to half a turn is half a turn [rad]
+
+
+def check_goal(goal: tuple[float, ...] | None) -> None:
+    """Raise InvalidInput where a goal is no orientation."""
+    if goal is not None:
+        length = np.linalg.norm(goal) if np.shape(goal) == (4,) else np.nan
+        if not abs(length - 1.0) <= 0.01:
+            raise InvalidInput(f"goal is {goal}; expected a unit quaternion, wxyz")
 
 
 def shortened(vector: Floats, most: float) -> Floats:

@@ -22,7 +22,7 @@ from dexctl.rotations import multiply
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.landing import Landing
-from dexctl.validation import check_mask, check_settings, unit_axis
+from dexctl.validation import check_mask, unit_axis, with_changes
 
 
 class PlannedGait(Controller):
@@ -61,10 +61,7 @@ class PlannedGait(Controller):
     ) -> None:
         super().__init__(hand, control_period=control_period)
         config = PlannedGaitConfig.suiting(hand) if config is None else config
-        if not isinstance(config, PlannedGaitConfig):
-            raise InvalidInput(f"config is {config!r}; expected a PlannedGaitConfig, or None")
-        check_settings(PlannedGaitConfig, changes)
-        self.config = replace(config, **changes)
+        self.config = with_changes(PlannedGaitConfig, config, changes)
         if not isinstance(tree, Tree):
             tree = Tree.load(tree)
         self.route = Route(tree, hand, self.config.rotation)

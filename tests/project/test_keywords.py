@@ -23,6 +23,9 @@ from dexctl.gait import (
     GoalGait,
     GoalGaitChanges,
     GoalGaitConfig,
+    GoalSteering,
+    GoalSteeringChanges,
+    GoalSteeringConfig,
 )
 from dexctl.igm import (
     InGraspManipulation,
@@ -39,6 +42,7 @@ CONTROLLERS: list[tuple[Any, Any, Any]] = [
     (FingerGaiting, FingerGaitingConfig, FingerGaitingChanges),
     (CoordinatedGait, CoordinatedGaitConfig, CoordinatedGaitChanges),
     (GoalGait, GoalGaitConfig, GoalGaitChanges),
+    (GoalSteering, GoalSteeringConfig, GoalSteeringChanges),
 ]
 
 

@@ -1,0 +1,102 @@
+"""GoalSteering: what it asks for, and goals that are reached so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dexctl import Controller, GraspState, InvalidInput, UnknownName, controllers
+from dexctl.gait import GoalGait, GoalSteering
+from dexctl.rotations import from_rotation_vector, inverse, multiply, rotation_vector
+from dexctl.sim import BatchSimulator, Scene
+
+
+class Noting(Controller):
+    """Holds still, and keeps what it was asked for."""
+
+    asked: GraspState
+
+    def act(self, state: GraspState) -> np.ndarray:
+        self.asked = state
+        return np.zeros_like(state.q)
+
+    def reset(self, seed: Any = None, mask: Any = None) -> None:
+        pass
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed()
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        self._parts(saved)
+
+    @property
+    def spin(self) -> np.ndarray:
+        """The angular velocity that it was asked for."""
+        assert self.asked.goal_quaternion is None
+        assert self.asked.goal_angular_velocity is not None
+        return self.asked.goal_angular_velocity
+
+
+@pytest.fixture(scope="module")
+def start(cylinder: Scene) -> GraspState:
+    with BatchSimulator(cylinder, 3, seed=0, threads=1) as sim:
+        return sim.read()
+
+
+def ahead(state: GraspState, turns: list[list[float]]) -> GraspState:
+    """With goals that are so far from where the objects are."""
+    assert state.object_quaternion is not None
+    goal = multiply(from_rotation_vector(np.array(turns)), state.object_quaternion)
+    return replace(state, goal_quaternion=goal)
+
+
+def test_it_asks_for_the_turn_that_is_left(cylinder: Scene, start: GraspState) -> None:
+    turner = Noting(cylinder.hand)
+    steering = GoalSteering(cylinder.hand, turner=turner, gain=2.0, speed=0.5)
+    steering.act(ahead(start, [[0.1, 0, -0.05], [0, 3.0, 0], [0, 0, 0]]))
+    np.testing.assert_allclose(turner.spin, [[0.2, 0, -0.1], [0, 0.5, 0], [0, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(steering.diagnostics["left"], [0.1118034, 3.0, 0.0], atol=1e-7)
+    one = ahead(start, [[0, 3.0, 0]] * 3)[1]
+    steering.reset()
+    steering.act(one)
+    np.testing.assert_allclose(turner.spin, [0, 0.5, 0], atol=1e-12)
+    told = GoalSteering(cylinder.hand, turner=turner, goal=(0.0, 1.0, 0.0, 0.0))
+    told.act(start)
+    assert np.linalg.norm(turner.spin, axis=-1) == pytest.approx(0.5)
+    steering.act(start)  # no goal, nothing asked
+    assert turner.asked.goal_angular_velocity is None
+
+
+def test_goals_are_reached(cylinder: Scene) -> None:
+    steering = controllers.make("steered:goal", cylinder.hand)
+    assert isinstance(steering, GoalSteering) and isinstance(steering.turner, GoalGait)
+    with BatchSimulator(cylinder, 2, seed=0, threads=1) as sim:
+        goal = ahead(sim.read(), [[0, 0, 0.8], [0, 0, -0.5]]).goal_quaternion
+        for _ in range(160):
+            state = replace(sim.read(), goal_quaternion=goal)
+            sim.write(state.q_target + steering.act(state))
+            sim.step()
+        came = sim.read().object_quaternion
+    assert came is not None and goal is not None
+    left = np.linalg.norm(rotation_vector(multiply(goal, inverse(came))), axis=-1)
+    assert (left < 0.2).all()
+
+
+def test_what_it_refuses(cylinder: Scene, start: GraspState) -> None:
+    with pytest.raises(InvalidInput, match="expected steered:NAME"):
+        controllers.make("steered", cylinder.hand)
+    with pytest.raises(UnknownName, match="unknown controller 'nobody'"):
+        controllers.make("steered:nobody", cylinder.hand)
+    with pytest.raises(InvalidInput, match="gain is 0.0"):
+        GoalSteering(cylinder.hand, gain=0.0)
+    with pytest.raises(InvalidInput, match="goal is .*; expected a unit quaternion"):
+        GoalSteering(cylinder.hand, goal=(1.0, 1.0, 0.0, 0.0))
+    with pytest.raises(InvalidInput, match="turner is 'goal'; expected a Controller"):
+        GoalSteering(cylinder.hand, turner="goal")  # type: ignore[arg-type]
+    blind = replace(ahead(start, [[0, 0, 1.0]] * 3), object_quaternion=None)
+    with pytest.raises(InvalidInput, match="a goal and no pose"):
+        GoalSteering(cylinder.hand).act(blind)
