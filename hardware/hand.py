@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from dexctl import GraspState, HandModel, JointTouch
 from dexctl.exceptions import InvalidInput
 from dexctl.limits import LimitedGoal, limit_goal
+from dexctl.sim.checks import gravity_vector
 from dexctl.state import Floats
 from hardware import registers
 from hardware.bus import Bus
@@ -49,6 +50,8 @@ class ServoHand:
         tactile: what the fingertips feel; default nothing.
         joint_touch: tells touch from the torques that the servos measure, in place of what
             ``tactile`` feels; where there is a ``tactile``, that still says which fingertips touch.
+        gravity: as the hand is mounted, for controllers that go by it: "up" or "down", which way
+            the palm looks, or in the hand's frame ``(3,)`` [m/s^2]; None: nobody knows.
         control_period: time of one :meth:`step`, and what the speed limit reckons with [s].
 
     Attributes:
@@ -57,6 +60,7 @@ class ServoHand:
         q_target: the set-points sent last, ``(d,)`` [rad], before rounding to the servo's ticks
             of 1.5 mrad (a slow motion would be lost if the rounded value were built on); NaN
             until armed.
+        gravity: ``(3,)`` [m/s^2], or None.
         models: of the servos, d; XM430-W210 until `configure` has asked them.
         torque_constant: of the calibration, or the models, ``(d,)`` [N m/A], [N m].
         hot: from which temperature on is warned, ``(d,)`` [degC].
@@ -76,6 +80,7 @@ class ServoHand:
         gains: ServoGains | SimGains | None = None,
         tactile: TactileSource | None = None,
         joint_touch: JointTouch | None = None,
+        gravity: str | ArrayLike | None = None,
         control_period: float = CONTROL_PERIOD,
     ) -> None:
         self.bus = bus
@@ -85,6 +90,7 @@ class ServoHand:
         self.gains = gains
         self.tactile = tactile or NoTactile(hand.n_fingers)
         self.joint_touch, self._switches = joint_touch, tactile is not None
+        self.gravity = None if gravity is None else gravity_vector(gravity)
         self._ticker = Ticker(control_period)
         self.control_period = control_period
         self.torque = Torque.UNKNOWN
@@ -296,6 +302,7 @@ class ServoHand:
             contact_position=touch.position,
             contact_normal=touch.normal,
             contact_force=touch.force,
+            gravity=None if self.gravity is None else self.gravity.copy(),
             time=sample.time,
             age=sample.age,
         )

@@ -106,7 +106,8 @@ class Runner:
             if approach.shape != (hand.hand.nq,) or not np.isfinite(approach).all():
                 raise InvalidInput(f"approach is {approach}; expected {hand.hand.nq} finite angles")
         middle = 0.5 * (hand.calibration.lower + hand.calibration.upper)
-        warm_up(self._controller, middle if approach is None else approach, self._seed)
+        start = middle if approach is None else approach
+        warm_up(self._controller, start, self._seed, hand.gravity)
         worker = ControllerThread(self._controller)  # before real time: it must not inherit it
         run = _Run(self, worker, seconds, approach)
         self.report = run.report

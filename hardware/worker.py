@@ -112,11 +112,13 @@ def _numbers(controller: Controller) -> dict[str, Any]:
     return kept
 
 
-def warm_up(controller: Controller, q: Floats, seed: int | None) -> None:
+def warm_up(
+    controller: Controller, q: Floats, seed: int | None, gravity: Floats | None = None
+) -> None:
     """Let a controller load and compile what it uses, before torque is on.
 
     It is asked about a made-up grasp at the joints ``q`` ``(d,)`` [rad], all fingers touching,
-    and reset afterwards, so that nothing of it stays.
+    under ``gravity`` ``(3,)`` [m/s^2], and reset afterwards, so that nothing of it stays.
     """
     hand = controller.hand
     tip = hand.fingertip_positions(q)
@@ -128,6 +130,7 @@ def warm_up(controller: Controller, q: Floats, seed: int | None) -> None:
         contact_position=tip,
         contact_normal=inward / np.maximum(np.linalg.norm(inward, axis=1), 1e-9)[:, None],
         contact_force=np.full(hand.n_fingers, 2.0),
+        gravity=gravity,
     )
     controller.reset(seed)
     for _ in range(3):

@@ -246,6 +246,7 @@ class HandOptions:
                 gains=self.gains(limits),
                 tactile=None if how == "joint-torque" else source,
                 joint_touch=felt,
+                gravity=None if held is None else held.gravity,
                 control_period=control_period,
             )
             yield Session(model, bus, hand, emulator, source, grasp)

@@ -77,6 +77,20 @@ def test_a_hand_that_is_not_armed_takes_no_set_points(dex5: dexctl.HandModel) ->
         assert not any(emulator.state()["torque_on"])
 
 
+def test_gravity_is_as_the_hand_is_mounted(dex5: dexctl.HandModel) -> None:
+    """So a policy that observes it is asked the same as in simulation."""
+    with Emulator(15) as emulator, Bus(emulator.port, range(1, 16), timeout=0.05) as bus:
+        for told, known in (("down", [0.0, 0.0, 9.81]), ((0.0, 3.0, -9.0), [0.0, 3.0, -9.0])):
+            hand = ServoHand(bus, dex5, limits=LIMITS, gravity=told)
+            hand.configure()
+            np.testing.assert_array_equal(hand.read().gravity, known)
+        with pytest.raises(dexctl.UnknownName, match="unknown gravity 'sideways'"):
+            ServoHand(bus, dex5, gravity="sideways")
+        hand = ServoHand(bus, dex5, limits=LIMITS)
+        hand.configure()
+        assert hand.read().gravity is None
+
+
 def test_arming_stops_where_a_joint_is_out_of_range(dex5: dexctl.HandModel) -> None:
     start = [0.0] * 15
     start[3] = 1.5  # f2_roll ends at 0.7
