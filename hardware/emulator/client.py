@@ -157,7 +157,7 @@ class Emulator:
         """Hold the simulated object still, or let it go at once.
 
         It is held from the start until every finger has pressed on it for 0.3 s, with 1 N or nearly
-        as much as in the settled grasp.
+        as much as in the settled grasp; or three fingers for 1 s.
         """
         self.ask("support", supported=supported)
 

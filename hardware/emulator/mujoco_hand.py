@@ -28,7 +28,8 @@ FAR = 10.0  # m from the hand: where the object of an empty hand starts its fall
 GEAR_FRICTION = 0.1  # N m that holds a joint while its torque is off (ours)
 PRESSING_FORCE = 1.0  # N by every finger, or less where it presses less in the settled grasp,
 PRESSING_SHARE = 0.7  # then this share of it, over
-PRESSING_TIME = 0.3  # s, and the object is let go
+PRESSING_TIME = 0.3  # s, and the object is let go,
+FINGERS, FINGERS_TIME = 3, 1.0  # or so many fingers that long [s]: no more of them may reach it
 
 
 class MujocoHand(Joints):
@@ -69,7 +70,7 @@ class MujocoHand(Joints):
         self._gains: tuple[float, float] | None = None
         self.supported = not self._empty
         self._held_at = self._object_pose()
-        self._pressed = 0.0
+        self._pressed = self._grasped = 0.0
         settled = PRESSING_SHARE * self._state.contact_force
         self._enough = np.minimum(PRESSING_FORCE, settled)
 
@@ -97,7 +98,7 @@ class MujocoHand(Joints):
     def support(self, supported: bool) -> None:
         """Hold the object still where it is now, or let it go at once."""
         self.supported = bool(supported) and not self._empty
-        self._pressed = 0.0
+        self._pressed = self._grasped = 0.0
         self._held_at = self._object_pose()
 
     def _step(self, h: float) -> None:
@@ -143,15 +144,16 @@ class MujocoHand(Joints):
         return np.where(c.torque_on, np.where(plain, self.reference, asked), self._anchor)
 
     def _hold_object(self, h: float) -> None:
-        """Keep a supported object still until every finger has pressed on it for long enough."""
+        """Keep a supported object still until fingers have pressed on it for long enough."""
         if not self.supported:
             return
         position, quaternion = self._held_at
         self._sim.sim.place_object(position[None], quaternion[None])
-        pressing = (self._state.contact_force >= self._enough).all()
+        pressing = self._state.contact_force >= self._enough
         driven = self.commands.torque_on.all()
-        self._pressed = self._pressed + h if pressing and driven else 0.0
-        self.supported = self._pressed < PRESSING_TIME
+        self._pressed = self._pressed + h if pressing.all() and driven else 0.0
+        self._grasped = self._grasped + h if pressing.sum() >= FINGERS and driven else 0.0
+        self.supported = self._pressed < PRESSING_TIME and self._grasped < FINGERS_TIME
 
     def _object_pose(self) -> tuple[Floats, Floats]:
         state = self._state

@@ -11,7 +11,7 @@ import pytest
 
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import changed
-from dexctl.sim import BatchSimulator, Scene
+from dexctl.sim import BatchSimulator, Scene, SceneConfig
 from hardware import registers as R  # noqa: N812
 from hardware.bus import Bus
 from hardware.emulator import Emulator
@@ -66,13 +66,25 @@ def test_pushes_move_what_nobody_holds() -> None:
 
 @pytest.mark.parametrize("name", ["cylinder", "l_shape", "cuboid_long"])
 def test_an_object_that_a_finger_presses_on_softly_is_let_go_too(name: str) -> None:
-    joints = MujocoHand(replace(HOLDING, object=(name,)))
+    assert not held_after(1.0, replace(HOLDING, object=(name,)))
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_an_object_that_not_all_fingers_reach_is_let_go_too(seed: int) -> None:
+    """Joint origins that are off: one or two fingers press less, or nowhere."""
+    sensing = replace(HOLDING.sensing, joint_offset=0.05)
+    assert not held_after(3.0, replace(HOLDING, object=("l_shape",), sensing=sensing), seed)
+
+
+def held_after(seconds: float, scene: SceneConfig, seed: int = 0) -> bool:
+    """Whether somebody still holds the object, so long after the hand has gone to its grasp."""
+    joints = MujocoHand(scene, seed)
     c = joints.commands
     c.torque_on[:], c.kp[:], c.kd[:], c.limit[:], c.speed[:] = True, 3.0, 0.15, 0.5, 0.6
     c.goal[:] = joints.reference[:] = np.array(joints.grasp())
     assert joints.supported
-    joints.advance(1.0)
-    assert not joints.supported
+    joints.advance(seconds)
+    return joints.supported
 
 
 def test_several_objects_do_not_fit() -> None:

@@ -1,0 +1,152 @@
+"""Policies and controllers on the emulated servo hand: the thesis's table for its real one.
+
+Each trial is the command `dexctl hardware run --emulate`, in real time: bus, runner, servos with
+0.6 rad/s, 0.5 N m, 50 ms from a set-point to its effect, touch from 1 N on, joint origins that are
+off, and nobody who tracks the object. Rotation counts up to a drop (centre 50 mm from where the
+controller began) or the end.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from common import (
+    FULL_TURN,
+    Figure,
+    Settings,
+    earlier,
+    over_seeds,
+    percent_interval,
+    progress,
+    settings,
+    share,
+    write,
+)
+
+THESIS = {
+    "cylinder": (5.0, 0.42),
+    "cube": (4.5, 0.44),
+    "cuboid_tall": (1.5, 0.44),
+    "l_shape": (1.5, 0.24),
+}
+"""Median revolutions before a drop and speed [rad/s] of the thesis's policies on its real hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the measurement."""
+
+    who: tuple[str, ...] = ("coordinated",)
+    """Policies, policy files, run folders or controllers."""
+    objects: tuple[str, ...] = tuple(THESIS)
+    """Which."""
+    trials: int = 10
+    """Of each with each object."""
+    seconds: float = 120.0
+    """Of each; in the thesis until the drop, or 10 minutes."""
+    joint_offset: float = 0.03
+    """Standard deviation of what encoders read at zero: 0.1 rad at the very most [rad]."""
+    jobs: int = 3
+    """Trials at a time; each takes a quarter of a core."""
+
+
+def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
+    """One run."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = [
+            "hardware", "run", who, "--emulate", "--object", turned, "--json",
+            "--seconds", f"{given.seconds:g}", "--seed", str(seed), "--out", folder,
+            "--joint-offset", f"{given.joint_offset:g}", "--action-latency", "0.05",
+            "--patience", "5",
+        ]  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-m", "dexctl", *words], capture_output=True, text=True, check=False
+        )
+    if not done.stdout.strip():
+        raise SystemExit(f"dexctl {' '.join(words)}: {done.stderr.strip()}")
+    found = json.loads(done.stdout)
+    figures = found["figures"]
+    lost = figures.get("object_lost_at_s")
+    # the log begins with the approach, a second and a half before the controller
+    held = figures["seconds"] if lost is None else lost
+    return {
+        "who": who,
+        "object": turned,
+        "seed": seed,
+        "rotation_rad": figures["rotation_rad"],
+        "lost_at_s": lost,
+        "mean_speed_rad_s": figures["rotation_rad"] / held,
+        "outcome": found["outcome"],
+        "cause": found["cause"],
+    }
+
+
+def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
+    """Write the result with the trials so far."""
+    figures, lines = [], []
+    for who, turned in product(given.who, given.objects):
+        mine = [row for row in rows if (row["who"], row["object"]) == (who, turned)]
+        if not mine:
+            continue
+        turns = np.array([row["rotation_rad"] for row in mine]) / FULL_TURN
+        speed = np.array([row["mean_speed_rad_s"] for row in mine])
+        kept = share(np.array([row["lost_at_s"] is None for row in mine]))
+        revolutions, fast = THESIS.get(turned, (0.0, 0.0))
+        median, low, high = (over_seeds(turns)[key] for key in ("median", "p10", "p90"))
+        lines.append(
+            [
+                who,
+                turned,
+                f"{median:.1f} ({low:.1f} to {high:.1f})",
+                f"{np.median(speed):.2f} rad/s",
+                f"{revolutions:g} at {fast:g} rad/s" if revolutions else "",
+                percent_interval(kept),
+            ]
+        )
+        figures.append(
+            Figure(
+                f"emulated servo hand, {who}, {turned}: median revolutions in "
+                f"{given.seconds:g} s or before a drop",
+                f"{median:.1f} at {np.median(speed):.2f} rad/s",
+                f"{revolutions:g} at {fast:g} rad/s (thesis, real hand)",
+                bool(median >= revolutions and np.median(speed) >= fast),
+            )
+        )
+    table = {
+        "title": f"The emulated servo hand: 0.6 rad/s, 0.5 N m, 50 ms, touch from 1 N, joint "
+        f"origins off by {given.joint_offset:g} rad (standard deviation), {given.trials} trials of "
+        f"{given.seconds:g} s; revolutions before a drop, median (10 to 90 %)",
+        "header": ["", "Object", "Revolutions", "Speed", "Thesis, real hand", "Held"],
+        "rows": lines,
+    }
+    write("servo_hand", given, figures, [table], trials=rows, say=say)
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    rows = earlier("servo_hand", given)
+    done = {(row["who"], row["object"], row["seed"]) for row in rows}
+    seeds = range(given.seed, given.seed + given.trials)
+    with ThreadPoolExecutor(given.jobs) as pool:
+        waiting = [
+            pool.submit(trial, who, turned, seed, given)
+            for who, turned, seed in product(given.who, given.objects, seeds)
+            if (who, turned, seed) not in done
+        ]
+        for one in as_completed(waiting):
+            rows.append(one.result())
+            save(rows, given, say=False)
+            progress(json.dumps(rows[-1]))
+    save(rows, given, say=True)
+
+
+if __name__ == "__main__":
+    main()
