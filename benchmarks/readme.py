@@ -36,6 +36,7 @@ HEADINGS = {
     "learner": "Training throughput",
     "algorithms": "Algorithms and their peers",
     "hardware_grasp": "Simulator and servo bus",
+    "servo_hand": "The emulated servo hand",
     "hardware_loop": "Runner of the servo hand",
     "bus": "Servo bus",
     "hands": "Grasps of other hands",

@@ -51,6 +51,7 @@ RUNS: dict[str, list[str]] = {
     "bus.py": ["--cycles", "20", "--rounds", "2"],
     "hardware_loop.py": ["--cycles", "20", "--rounds", "2", "--seconds", "0.5", *PATIENT],
     "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
+    "servo_hand.py": [*SHORT, "--objects", "cylinder"],
     "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
     "conditions.py": [*SHORT, "--conditions", "up", "all", "--objects", "cube"],
@@ -80,7 +81,7 @@ def test_every_script_is_run_here() -> None:
 @pytest.mark.parametrize("script", RUNS)
 def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     arguments = [*RUNS[script], "--out", tmp_path]
-    if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py"):
+    if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py", "servo_hand.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     if script in ("learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py"):
         pytest.importorskip("torch", reason="needs the extra 'learning'")
