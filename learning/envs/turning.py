@@ -162,7 +162,8 @@ class Turning(Task):
         assert state.object_quaternion is not None
         self.rotation[chosen] = 0.0
         self._command(chosen, state.object_quaternion)
-        self._reference[chosen] = self._upright[chosen]
+        if not self.config.commands:  # a state of a file may be on its way there
+            self._reference[chosen] = self._upright[chosen]
 
     def _command(self, chosen: Bools, now: Floats) -> None:
         """Turning begins anew in the environments chosen, about other axes where they are drawn."""
