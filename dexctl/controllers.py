@@ -7,7 +7,7 @@ returns the `Controller`. One that names a keyword ``axis`` can be told about wh
 object; any other turns about z. It is loaded when it is made, not before.
 
 A controller that needs a file, or another controller, has it after its name:
-``planned:tree.npz``, ``steered:goal``.
+``planned:tree.npz``, ``steered:goal``, ``sequence:dex5-cube,dex5-cube-x``.
 """
 
 from __future__ import annotations
@@ -139,6 +139,15 @@ _CONTROLLERS = {
             attribute="steered",
             file="turner",
             wanted="NAME",
+        ),
+        ControllerEntry(
+            name="sequence",
+            title="sequence to a goal",
+            description="has two controllers, sequence:ABOUT,ACROSS, turn the object to a goal",
+            module="dexctl.controllers",
+            attribute="sequence",
+            file="turners",
+            wanted="ABOUT,ACROSS",
         ),
         ControllerEntry(
             name="planned",
@@ -356,6 +365,36 @@ def steered(
 
     found = resolve(turner, hand, control_period=control_period, axis=axis)
     return GoalSteering(hand, turner=found, **changes)
+
+
+def sequence(
+    hand: HandModel,
+    *,
+    turners: str,
+    control_period: float | None = None,
+    **changes: Any,
+) -> Controller:
+    """The controller of the name "sequence": a `dexctl.gait.GoalSequence` of two other ones.
+
+    Args:
+        hand: the hand.
+        turners: who turns about the palm's axis, and who across it, as `resolve` takes them, with a
+            comma between.
+        control_period: of both.
+        **changes: settings of `GoalSequenceConfig`.
+
+    Raises:
+        UnknownName, InvalidInput: no such controllers, not two, or a setting is wrong.
+    """
+    from dexctl.gait import GoalSequence
+
+    names = [name.strip() for name in turners.split(",")]
+    if len(names) != 2:
+        raise InvalidInput(f"got {turners!r}; expected two controllers, sequence:ABOUT,ACROSS")
+    about, across = (resolve(name, hand, control_period=control_period) for name in names)
+    return GoalSequence(
+        hand, about=about, across=across, control_period=about.control_period, **changes
+    )
 
 
 def other_object(name: str, controller: Controller, objects: Sequence[str]) -> str | None:

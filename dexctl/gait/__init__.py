@@ -3,6 +3,7 @@
 from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitChanges, CoordinatedGaitConfig
 from dexctl.gait.goal import GoalGait, GoalGaitChanges, GoalGaitConfig
 from dexctl.gait.macro import Macro, MacroConfig
+from dexctl.gait.sequence import GoalSequence, GoalSequenceChanges, GoalSequenceConfig
 from dexctl.gait.steering import GoalSteering, GoalSteeringChanges, GoalSteeringConfig
 from dexctl.gait.thesis import FingerGaiting, FingerGaitingChanges, FingerGaitingConfig
 
@@ -16,6 +17,9 @@ __all__ = [
     "GoalGait",
     "GoalGaitChanges",
     "GoalGaitConfig",
+    "GoalSequence",
+    "GoalSequenceChanges",
+    "GoalSequenceConfig",
     "GoalSteering",
     "GoalSteeringChanges",
     "GoalSteeringConfig",

@@ -192,6 +192,18 @@ class GoalGait(Controller):
         self._diagnostics = {**self.gait.diagnostics, "turn": turn, "tilt": step}
         return action
 
+    def refer_to(self, position: Floats, quaternion: Floats) -> None:
+        """Take these as the objects' upright poses, in place of those at the reset.
+
+        Args:
+            position: ``(N, 3)`` [m].
+            quaternion: wxyz ``(N, 4)``.
+        """
+        if len(self._known) != len(position):
+            self._start(len(position))
+        self._place, self._upright = position.copy(), quaternion.copy()
+        self._known = np.ones_like(self._known)
+
     def _meet(self, now: Floats, place: Floats) -> None:
         """Take as upright the poses of objects that are met for the first time since the reset."""
         if len(self._known) != len(now):

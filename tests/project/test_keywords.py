@@ -23,6 +23,9 @@ from dexctl.gait import (
     GoalGait,
     GoalGaitChanges,
     GoalGaitConfig,
+    GoalSequence,
+    GoalSequenceChanges,
+    GoalSequenceConfig,
     GoalSteering,
     GoalSteeringChanges,
     GoalSteeringConfig,
@@ -42,6 +45,7 @@ CONTROLLERS: list[tuple[Any, Any, Any]] = [
     (FingerGaiting, FingerGaitingConfig, FingerGaitingChanges),
     (CoordinatedGait, CoordinatedGaitConfig, CoordinatedGaitChanges),
     (GoalGait, GoalGaitConfig, GoalGaitChanges),
+    (GoalSequence, GoalSequenceConfig, GoalSequenceChanges),
     (GoalSteering, GoalSteeringConfig, GoalSteeringChanges),
 ]
 
