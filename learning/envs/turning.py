@@ -33,7 +33,9 @@ class TurningConfig:
     max_tilt: float = 0.5
     """Tilt of the object up to which turning is rewarded [rad] (phi_max)."""
     min_fingertips: int = 3
-    """Turning is rewarded where at least so many fingertips touch."""
+    """Turning is rewarded where at least so many fingertips touch, ..."""
+    only_fingertips: bool = True
+    """... and nothing else of the hand does; off, for hands that hold with their last links too."""
     wanted_speed: float | None = None
     """A speed to keep: beyond it the reward falls as it rose before [rad/s]. None: the faster the
     better, up to max_reward."""
@@ -116,7 +118,7 @@ def reward(motion: Motion, config: TurningConfig, most: Floats | None = None) ->
         speed = np.minimum(speed, 2.0 * config.wanted_speed - speed)
     good = (
         (motion.fingertips >= config.min_fingertips)
-        & motion.fingertips_only
+        & (motion.fingertips_only | (not config.only_fingertips))
         & (motion.tilt <= config.max_tilt)
     )
     most = np.full_like(speed, config.max_reward) if most is None else most

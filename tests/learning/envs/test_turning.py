@@ -54,6 +54,8 @@ def test_the_equation_case_by_case() -> None:
     assert less(drop_cost=5.0) == pytest.approx([0, 5, 0, 5, 0, 0, 0])
     assert less(drift_cost=10.0) == pytest.approx([0, 0, 0.1, 0.1, 0, 0.2, 0])
     assert less(links_cost=0.2) == pytest.approx([0, 0, 0, 0, 0, 0.2, 0.2])
+    links = reward(motion, TurningConfig(only_fingertips=False))
+    np.testing.assert_array_equal(links, [0.3, 0.5, -0.2, 0.0, 0.0, 0.3, -0.2])
     kept = reward(motion, TurningConfig(wanted_speed=0.4))  # 0.9 is 0.5 too fast
     assert kept == pytest.approx([0.3, -0.1, -0.2, 0, 0, 0, -0.2])
 

@@ -34,6 +34,7 @@ OTHERS: dict[str, Any] = {
     "task.goals": "cube",
     "task.turning.axis": (0.0, -2.0, 1.0),
     "task.turning.end_on_links": True,
+    "task.turning.only_fingertips": False,
     "task.turning.commands": ("x", "any"),
 }
 

@@ -151,6 +151,7 @@ OTHER = {
     "task.goals": "cube",
     "task.turning.axis": "-y",
     "task.turning.end_on_links": True,
+    "task.turning.only_fingertips": False,
     "task.turning.commands": ("x", "any"),
 }
 DISTURBANCES = (
