@@ -51,6 +51,10 @@ RUNS: dict[str, list[str]] = {
     "bus.py": ["--cycles", "20", "--rounds", "2"],
     "hardware_loop.py": ["--cycles", "20", "--rounds", "2", "--seconds", "0.5", *PATIENT],
     "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
+    "goal_policies.py": [
+        *("--steps", "200", "--about-steps", "200", "--last-steps", "200", "--num-envs", "4"),
+        *("--states-seconds", "0.5", "--episodes", "12", "--seconds", "1"),
+    ],
     "servo_hand.py": [*SHORT, "--objects", "cylinder"],
     "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
@@ -83,11 +87,14 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     arguments = [*RUNS[script], "--out", tmp_path]
     if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py", "servo_hand.py"):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
-    if script in ("learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py"):
+    if script in (
+        "learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py",
+        "goal_policies.py",
+    ):  # fmt: skip
         pytest.importorskip("torch", reason="needs the extra 'learning'")
     if script in ("learner.py", "algorithms.py"):
         pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
-    if script in ("learning_ablation.py", "starts.py"):
+    if script in ("learning_ablation.py", "starts.py", "goal_policies.py"):
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]
     if script == "hands_turning.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]

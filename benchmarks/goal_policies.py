@@ -1,0 +1,283 @@
+"""Trains the two policies that `sequence` turns a cube with, each from where the other leaves it.
+
+A policy about x from the settled grasp; one about z from cubes that it has laid on another face;
+the first again from cubes that the second has turned; then both from where the two of them, asked
+for goals in turn, really take over from each other. A cube looks the same in 24 orientations, so
+its states are told in the one that is least tilted. A training that is there goes on, or is taken
+as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import Figure, Settings, progress, settings, write
+
+from dexctl import controllers, hands
+from dexctl.controller import Controller
+from dexctl.gait import GoalSequence
+from dexctl.gait.sequence import Leg
+from dexctl.rotations import inverse, multiply, rotate
+from dexctl.settings import changed
+from dexctl.sim import GraspStates, SceneConfig, Simulation
+from dexctl.state import Bools, Floats, GraspState
+from learning.config import TrainConfig, recipe
+from learning.envs import ReorientationConfig, TaskConfig
+from learning.evaluation import Protocol, evaluate, rollout
+from learning.training.run_folder import RunFolder
+
+X, Z = np.eye(3)[0], np.eye(3)[2]
+_TOLD = ("q", "q_target", "contact_position", "contact_normal", "contact_force",
+         "goal_angular_velocity")  # fmt: skip
+_NEAR = 0.025  # states further from the grasp's place are no starts [m]; ...
+_FLAT = 0.2  # ... nor are cubes that lie on an edge [rad]
+_FROM_GOALS = {
+    "episode_steps": 200,
+    "sac": {"learning_rate": 5e-4},
+    "drift_cost": 4.0,
+    "max_tilt": 0.8,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Settings):
+    """Settings of the trainings."""
+
+    steps: int = 600_000
+    """Environment steps of the first policy about x, and of its second training."""
+    about_steps: int = 800_000
+    """Of the first policy about z."""
+    last_steps: int = 400_000
+    """Of the last training of each."""
+    num_envs: int = 128
+    """Environments of each."""
+    states_seconds: float = 25.0
+    """Of the episodes in which starts are looked for."""
+    episodes: int = 192
+    """Episodes with goals in which the last starts are looked for, and of the evaluation."""
+    seconds: float = 60.0
+    """Of each of these."""
+    runs: Path = Path("out/goal_policies")
+    """Folder of the trainings and of the starts."""
+
+
+def turns() -> Floats:
+    """The 24 turns of a cube onto itself, wxyz ``(24, 4)``."""
+    found = [np.array([1.0, 0.0, 0.0, 0.0])]
+    quarter = np.sqrt(0.5)
+    for start in found:  # the list grows while it is gone through
+        for axis in (X, Z):
+            turned = multiply(np.array([quarter, *(quarter * axis)]), start)
+            if not any(abs(turned @ other) > 1 - 1e-9 for other in found):
+                found.append(turned)
+    return np.array(found)
+
+
+def lean(quaternion: Floats, upright: Floats, axis: Floats) -> Floats:
+    """Of a cube's faces, how far the nearest is from looking along ``axis``, ``(N,)`` [rad]."""
+    there = rotate(
+        inverse(multiply(quaternion, inverse(upright))), np.tile(axis, (len(upright), 1))
+    )
+    return np.arccos(np.clip(np.abs(there).max(axis=-1), -1.0, 1.0))
+
+
+def least_tilted(quaternion: Floats, upright: Floats, axis: Floats) -> Floats:
+    """The same cubes told so that what was along ``axis`` upright is nearest to it now."""
+    alike = multiply(quaternion[:, None], turns())  # (N, 24, 4)
+    since = multiply(alike, inverse(upright)[:, None])
+    along = rotate(since, np.broadcast_to(axis, (*since.shape[:-1], 3))) @ axis
+    return alike[np.arange(len(alike)), along.argmax(axis=1)]
+
+
+class Kept:
+    """States, as starts for a training."""
+
+    def __init__(self) -> None:
+        self.rows: list[GraspState] = []
+
+    def add(self, state: GraspState, chosen: Bools) -> None:
+        """Take in those of the rows of a batch."""
+        self.rows.extend(state[i] for i in np.flatnonzero(chosen))
+
+    def save(self, path: Path, upright: Floats, axis: Floats) -> Path:
+        """Write them to a file, each cube told as it is least tilted from ``axis``."""
+        if not self.rows:
+            raise SystemExit(f"no state for {path}; expected longer episodes")
+        column: dict[str, Any] = {
+            name: np.array([getattr(row, name) for row in self.rows])
+            for name in ("q", "q_target", "object_position", "object_quaternion")
+        }
+        upright = np.tile(upright, (len(self.rows), 1))
+        column["object_quaternion"] = least_tilted(column["object_quaternion"], upright, axis)
+        hand = hands.load("dex5")
+        GraspStates(
+            hand=hand.name,
+            joint_names=np.array(hand.joint_names),
+            object=np.full(len(self.rows), "cube"),
+            **column,
+        ).save(path)
+        progress(f"{path.name}: {len(self.rows)} starts")
+        return path
+
+
+def visited(
+    policy: str, axis: Floats, starts: Path | None, square: bool, given: Options
+) -> tuple[Kept, Floats]:
+    """What a policy about ``axis`` gets to: cubes that lie flat, and square where that counts."""
+    scene = SceneConfig(object=("cube",), initial_states=starts, threads=1)
+    kept, rng = Kept(), np.random.default_rng(given.seed)
+    who = controllers.resolve(policy, hands.load("dex5"))
+    with Simulation(scene, 64, given.seed) as sim:
+        settled = sim.sim.groups[0].scene
+        upright = settled.settled.qpos[settled.object_qpos][3:]
+        rows = np.tile(upright, (64, 1))
+        for _ in range(3):
+            sim.reset()
+            place = sim.state.object_centre().copy()
+            for _ in range(round(given.states_seconds / sim.control_period)):
+                state = sim.state
+                told = replace(state, goal_angular_velocity=np.tile(0.5 * axis, (64, 1)))
+                sim.write(state.q_target + who.act(told))
+                sim.step()
+                state = sim.state
+                assert state.object_quaternion is not None
+                good = np.linalg.norm(state.object_centre() - place, axis=1) < _NEAR
+                good &= state.in_contact.sum(axis=1) >= 3
+                good &= lean(state.object_quaternion, rows, Z) < _FLAT
+                if square:
+                    good &= lean(state.object_quaternion, rows, X) < _FLAT
+                kept.add(state, good & (rng.uniform(size=64) < 0.15))
+    return kept, upright
+
+
+def protocol(given: Options, seed: int) -> Protocol:
+    """Goals of a cube, one after the other."""
+    task = TaskConfig(goals="cube", reorientation=ReorientationConfig(goal_count=1000))
+    return changed(
+        Protocol(task=task),
+        {"object": "cube", "episodes": given.episodes, "seconds": given.seconds, "seed": seed},
+    )
+
+
+class Watched(GoalSequence):
+    """Keeps the states in which another controller takes over."""
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.kept = {Leg.ABOUT: Kept(), Leg.ACROSS: Kept()}
+        self._before: Floats | None = None
+
+    def _act(self, state: GraspState) -> Floats:
+        action = super()._act(state)
+        leg = np.where(self._leg == Leg.READY, Leg.ABOUT, self._leg)
+        away = np.linalg.norm(state.object_centre() - self._place, axis=1)
+        before = np.full(len(leg), Leg.NONE) if self._before is None else self._before
+        for one, kept in self.kept.items():
+            kept.add(state, (leg == one) & (before != one) & (away < 0.04))
+        self._before = leg
+        return action
+
+
+def pair(about: Path, across: Path, kind: type[GoalSequence] = GoalSequence) -> Any:
+    """The sequence of two policies."""
+    hand = hands.load("dex5")
+    who: list[Controller] = [controllers.resolve(str(one), hand) for one in (about, across)]
+    return kind(hand, about=who[0], across=who[1])
+
+
+def config(given: Options, method: str, steps: int, **changes: Any) -> TrainConfig:
+    """A training with the recipe fast, its guides there for three of eight steps."""
+    own = {"object": "cube", "steps": steps, "seed": given.seed, "num_envs": given.num_envs}
+    own |= {"threads": 1, "hard_stop": max(3 * steps // 8, 1)}
+    return changed(recipe("fast", method), own | changes)
+
+
+def train(name: str, given: Options, wanted: Callable[[], TrainConfig]) -> Path:
+    """The folder of a run that is done."""
+    from learning.training.trainer import resume
+    from learning.training.trainer import train as begin
+
+    folder = given.runs / name
+    _ = resume(folder) if RunFolder.is_run(folder) else begin(wanted(), folder)
+    progress(f"{name}: trained")
+    return folder
+
+
+def main() -> None:
+    given = settings(Options, __doc__)
+    given.runs.mkdir(parents=True, exist_ok=True)
+    told = {"parts": _TOLD, "commands": ("z",), "command_seconds": 4.0}
+    told["critic_parts"] = ("object_position", "object_quaternion", "object_velocity")
+    guides = ("gait", "igm")
+    x = train("x", given, lambda: config(given, "vge", given.steps, axis="x", controllers=guides))
+    files = {name: given.runs / f"{name}.npz" for name in ("laid", "turned", "about", "across")}
+    if not files["turned"].exists():
+        laid, upright = visited(str(x), X, None, False, given)
+        laid.save(files["laid"], upright, Z)
+    z = train("z", given, lambda: config(
+        given, "vge", given.about_steps, controllers=("coordinated",), episode_steps=400,
+        initial_states=files["laid"], **told,
+    ))  # fmt: skip
+    if not files["turned"].exists():
+        turned, upright = visited(str(z), Z, files["laid"], True, given)
+        laid, _ = visited(str(x), X, None, False, given)
+        turned.rows.extend(laid.rows)
+        turned.save(files["turned"], upright, X)
+    x2 = train("x2", given, lambda: config(
+        given, "rl", given.steps, axis="x", begin_from=x, initial_states=files["turned"],
+        episode_steps=400, sac={"learning_rate": 5e-4},
+    ))  # fmt: skip
+    if not files["across"].exists():
+        both = pair(z, x2, Watched)
+        found = rollout(both, protocol(given, given.seed + 900))
+        upright = found.scene.settled.qpos[found.scene.object_qpos][3:]
+        both.kept[Leg.ABOUT].save(files["about"], upright, Z)
+        both.kept[Leg.ACROSS].save(files["across"], upright, X)
+    across = train("across", given, lambda: config(
+        given, "rl", given.last_steps, axis="x", begin_from=x2, initial_states=files["across"],
+        **_FROM_GOALS,
+    ))  # fmt: skip
+    about = train("about", given, lambda: config(
+        given, "rl", given.last_steps, begin_from=z, initial_states=files["about"], **told,
+        **_FROM_GOALS,
+    ))  # fmt: skip
+    rows = []
+    for first, second in ((z, x), (z, x2), (about, across)):
+        got = evaluate(pair(first, second), protocol(given, given.seed + 50_000)).figures()
+        rows.append({"about": first.name, "across": second.name} | {
+            name: one.to_dict() for name, one in got.items()
+        })  # fmt: skip
+    save(rows, given)
+
+
+def save(rows: list[dict[str, Any]], given: Options) -> None:
+    """Write what the pairs of policies reach."""
+    table = {
+        "title": f"The 24 orientations of a cube by two policies in sequence, {given.episodes} "
+        f"episodes of {given.seconds:g} s",
+        "header": ["about z", "across", "first goal", "to it [s]", "dropped"],
+        "rows": [
+            [
+                row["about"],
+                row["across"],
+                f"{100 * row['share_first_goal_reached']['value']:.0f} %",
+                f"{row['first_goal_median_s']['value']:.1f}",
+                f"{100 * row['share_dropped']['value']:.0f} %",
+            ]
+            for row in rows
+        ],
+    }
+    reached = rows[-1]["share_first_goal_reached"]["value"]
+    figure = Figure(
+        "24 orientations of a cube, two policies in sequence: first goals reached",
+        f"{100 * reached:.0f} %", "96 %", reached >= 0.96,
+    )  # fmt: skip
+    write("goal_policies", given, [figure], [table], trials=rows)
+
+
+if __name__ == "__main__":
+    main()
