@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from common import Figure, Settings, earlier, progress, settings, write
 
+from dexctl.gait import GoalSequence
 from dexctl.settings import Names, changed
 from learning.envs import ReorientationConfig, TaskConfig, TurningConfig
 from learning.envs.goals import GOALS, Goals
@@ -24,7 +25,7 @@ AXES = ("x", "-x", "y", "-y", "z", "-z")
 class Options(Settings):
     """Settings of the measurement."""
 
-    who: tuple[str, ...] = ("goal",)
+    who: tuple[str, ...] = ("goal", "sequence:dex5-cube-z,dex5-cube-x")
     """Controllers, policies, policy files or run folders."""
     trials: int = 96
     """Episodes of each kind of goals and of each axis."""
@@ -69,6 +70,8 @@ def wanted(subject: Subject, given: Options) -> list[tuple[str, Pose]]:
     """What a subject can be asked for, and how the object's pose is known then."""
     goals: list[tuple[str, Pose]] = [(what, pose) for pose in given.poses for what in given.goals]
     axes: list[tuple[str, Pose]] = [(what, "tracked") for what in given.axes]
+    if isinstance(subject.controller, GoalSequence):
+        return goals
     if subject.trained is None:
         return goals + axes
     parts = subject.trained.env.parts
