@@ -171,8 +171,8 @@ class Watched(GoalSequence):
         self.kept = {Leg.ABOUT: Kept(), Leg.ACROSS: Kept()}
         self._before: Floats | None = None
 
-    def _act(self, state: GraspState) -> Floats:
-        action = super()._act(state)
+    def act_batch(self, state: GraspState) -> Floats:
+        action = super().act_batch(state)
         leg = np.where(self._leg == Leg.READY, Leg.ABOUT, self._leg)
         away = np.linalg.norm(state.object_centre() - self._place, axis=1)
         before = np.full(len(leg), Leg.NONE) if self._before is None else self._before

@@ -75,7 +75,7 @@ def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
     found = json.loads(done.stdout)
     figures = found["figures"]
     lost = figures.get("object_lost_at_s")
-    # the log begins with the approach, a second and a half before the controller
+    # the log begins with the approach, so the speed is told a little low
     held = figures["seconds"] if lost is None else lost
     return {
         "who": who,
@@ -92,10 +92,13 @@ def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the trials so far."""
     figures, lines = [], []
-    for who, turned in product(given.who, given.objects):
+    known = list(THESIS)
+    pairs = sorted(
+        {(row["who"], row["object"]) for row in rows},
+        key=lambda pair: (pair[0], known.index(pair[1]) if pair[1] in known else len(known)),
+    )
+    for who, turned in pairs:
         mine = [row for row in rows if (row["who"], row["object"]) == (who, turned)]
-        if not mine:
-            continue
         turns = np.array([row["rotation_rad"] for row in mine]) / FULL_TURN
         speed = np.array([row["mean_speed_rad_s"] for row in mine])
         kept = share(np.array([row["lost_at_s"] is None for row in mine]))

@@ -111,6 +111,23 @@ class Controller(ABC):
         return MappingProxyType(self._diagnostics)
 
 
+class BatchController(Controller):
+    """A controller that is written for a batch; one hand is a batch of one to it."""
+
+    @abstractmethod
+    def act_batch(self, state: GraspState) -> Floats:
+        """As `act`, for N hands whose states are sound: ``(N, d)`` [rad]."""
+
+    def act(self, state: GraspState) -> Floats:
+        check_state(self.hand, state)
+        check_sound(self.hand, state)
+        if state.batch_shape:
+            return self.act_batch(state)
+        action = self.act_batch(state[None])[0]
+        self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
+        return action
+
+
 @final
 class Superposition(Controller):
     """The sum of several controllers' actions (thesis chapter 4, psi_FG = psi_IGM + psi_CS)."""

@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_sound, check_state
+from dexctl.controller import BatchController
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitConfig
 from dexctl.hand import HandModel
@@ -76,7 +76,7 @@ class GoalGaitChanges(TypedDict, total=False):
     turn_angle: float
 
 
-class GoalGait(Controller):
+class GoalGait(BatchController):
     """Turns the object about the gait's axis first, then tilts it in the grasp.
 
     The thesis (chapter 3, hand-centric decomposition) reorients an object by axis-specific
@@ -149,16 +149,7 @@ class GoalGait(Controller):
         self._start(count)
         fill(own, self._arrays(), parts["goal"])
 
-    def act(self, state: GraspState) -> Floats:
-        check_state(self.hand, state)
-        check_sound(self.hand, state)
-        if state.batch_shape:
-            return self._act(state)
-        action = self._act(state[None])[0]
-        self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
-        return action
-
-    def _act(self, state: GraspState) -> Floats:
+    def act_batch(self, state: GraspState) -> Floats:
         goal, spin = state.goal_quaternion, state.goal_angular_velocity
         if goal is None and self.config.goal is not None:
             goal = np.tile(self.config.goal, (len(state.q), 1))

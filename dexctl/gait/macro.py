@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_action, check_sound, check_state
+from dexctl.controller import BatchController, check_action, check_sound, check_state
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.selection import Grasps, holds_without
 from dexctl.hand import HandModel
@@ -39,7 +39,7 @@ class MacroConfig:
         check_numbers(self, positive=("friction",))
 
 
-class Macro(Controller):
+class Macro(BatchController):
     """One piece of a gait: a twist, and a finger with its landing or none.
 
     `CoordinatedGait` decides by itself when to switch which finger; here the caller does, with
@@ -161,16 +161,7 @@ class Macro(Controller):
         """Whose finger is still on its way, ``(N,)``."""
         return self.switch.phase != Phase.IDLE
 
-    def act(self, state: GraspState) -> Floats:
-        check_state(self.hand, state)
-        check_sound(self.hand, state)
-        if not state.batch_shape:
-            action = self._act(state[None])[0]
-            self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
-            return action
-        return self._act(state)
-
-    def _act(self, state: GraspState) -> Floats:
+    def act_batch(self, state: GraspState) -> Floats:
         now = self.hand.configuration(state.q)
         if not len(self.switch.phase):
             self.switch.start(len(state.q))

@@ -10,14 +10,13 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_sound, check_state
+from dexctl.controller import BatchController, Controller
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.coordinated import CoordinatedGait
 from dexctl.gait.goal import GoalGait, split_turn
 from dexctl.hand import HandModel
 from dexctl.rotations import from_rotation_vector, inverse, multiply, rotate
 from dexctl.saved import batch_shape, check_names, copies, fill
-from dexctl.settings import Vector
 from dexctl.state import Floats, GraspState
 from dexctl.validation import check_mask, check_numbers, check_whole, unit_axis, with_changes
 
@@ -36,9 +35,9 @@ class Leg(IntEnum):
 class GoalSequenceConfig:
     """Settings of `GoalSequence`."""
 
-    about_axis: Vector = "z"
-    """Of the palm: the one controller turns about it."""
-    across_axis: Vector = "x"
+    about_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Of the palm, ``(3,)``: the one controller turns about it."""
+    across_axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
     """The other one's, at right angles to it."""
     speed: float = 0.5
     """What they are told in goal_angular_velocity, about their axes [rad/s]."""
@@ -81,8 +80,8 @@ class GoalSequenceConfig:
 class GoalSequenceChanges(TypedDict, total=False):
     """`GoalSequenceConfig`'s fields as keywords, for type checkers."""
 
-    about_axis: Vector
-    across_axis: Vector
+    about_axis: tuple[float, float, float]
+    across_axis: tuple[float, float, float]
     speed: float
     faces: int
     most_tilt: float
@@ -106,7 +105,7 @@ class Left(NamedTuple):
     about: Floats
 
 
-class GoalSequence(Controller):
+class GoalSequence(BatchController):
     """Turns the object about the palm's axis, across it, about it again, and then in the grasp.
 
     The thesis's hand-centric decomposition (chapter 3) with controllers, such as trained policies,
@@ -194,16 +193,7 @@ class GoalSequence(Controller):
         self._start(count)
         fill(own, self._arrays(), parts["sequence"])
 
-    def act(self, state: GraspState) -> Floats:
-        check_state(self.hand, state)
-        check_sound(self.hand, state)
-        if state.batch_shape:
-            return self._act(state)
-        action = self._act(state[None])[0]
-        self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
-        return action
-
-    def _act(self, state: GraspState) -> Floats:
+    def act_batch(self, state: GraspState) -> Floats:
         goal, now, place = state.goal_quaternion, state.object_quaternion, state.object_position
         if goal is None:
             return self._ask(self.about, state, self._axis)
@@ -248,7 +238,8 @@ class GoalSequence(Controller):
         lost = (leg >= Leg.ABOUT) & (left.tilt > config.lost_tilt)
         new = begun | other | over | lost
         self._goal = goal.copy()
-        next_leg = np.where((leg == Leg.READY) & (np.abs(ready.about) < config.align_angle), 1, leg)
+        readied = (leg == Leg.READY) & (np.abs(ready.about) < config.align_angle)
+        next_leg = np.where(readied, Leg.ACROSS, leg)
         if new.any():
             first = self._first(now, goal)
             turned = multiply(from_rotation_vector(first[:, None] * self._axis), now)

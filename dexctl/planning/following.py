@@ -10,7 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_sound, check_state
+from dexctl.controller import BatchController
 from dexctl.exceptions import InvalidInput
 from dexctl.gait import Macro
 from dexctl.grasp.odometry import ContactOdometry
@@ -25,7 +25,7 @@ from dexctl.switch.landing import Landing
 from dexctl.validation import check_mask, unit_axis, with_changes
 
 
-class PlannedGait(Controller):
+class PlannedGait(BatchController):
     """Turns an object as a tree of grasps says that it can be turned.
 
     From the node that is nearest to the grasp it goes from node to node: the finger that the edge
@@ -131,15 +131,6 @@ class PlannedGait(Controller):
         self._macro.load_state_dict(met["macro"])
         self._odometry.load_state_dict(met["odometry"])
 
-    def act(self, state: GraspState) -> Floats:
-        check_state(self.hand, state)
-        check_sound(self.hand, state)
-        if state.batch_shape:
-            return self._act(state)
-        action = self._act(state[None])[0]
-        self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
-        return action
-
     def follow(self, state: GraspState, goal: Indices) -> None:
         """Begin the edges to ``goal`` ``(N,)``, places on the route, in N tracked hands.
 
@@ -150,7 +141,7 @@ class PlannedGait(Controller):
         self._fresh[:] = False
         self._begin(np.arange(len(goal)), state, goal, self.route.finger[goal])
 
-    def _act(self, state: GraspState) -> Floats:
+    def act_batch(self, state: GraspState) -> Floats:
         count = len(state.q)
         self._check(count)
         if self._fresh is None:

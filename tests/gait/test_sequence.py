@@ -146,8 +146,8 @@ def test_it_is_known_by_name(cylinder: Scene) -> None:
 
 def test_what_it_refuses(cylinder: Scene, sequence: GoalSequence, start: GraspState) -> None:
     hand = cylinder.hand
-    with pytest.raises(InvalidInput, match="across_axis is z; expected one at right angles to z"):
-        GoalSequence(hand, across_axis="z")
+    with pytest.raises(InvalidInput, match=r"across_axis is \(0, 0, 2\); expected one at right"):
+        GoalSequence(hand, across_axis=(0, 0, 2))
     with pytest.raises(InvalidInput, match="most_tilt is 0.8; expected less than lost_tilt, 0.7"):
         GoalSequence(hand, most_tilt=0.8)
     with pytest.raises(InvalidInput, match="about is 'goal'; expected a Controller"):
