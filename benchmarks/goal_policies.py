@@ -202,7 +202,11 @@ def train(name: str, given: Options, wanted: Callable[[], TrainConfig]) -> Path:
     from learning.training.trainer import train as begin
 
     folder = given.runs / name
-    _ = resume(folder) if RunFolder.is_run(folder) else begin(wanted(), folder)
+    run = RunFolder(folder)
+    if not RunFolder.is_run(folder):
+        begin(wanted(), folder)
+    elif max((row["step"] for row in run.progress()), default=0) < run.config().steps:
+        resume(folder)
     progress(f"{name}: trained")
     return folder
 

@@ -33,6 +33,7 @@ HEADINGS = {
     "gaits_long": "Gaits for ten minutes",
     "learned": "Learned gaits",
     "reorientation": "Goal orientations and commanded axes",
+    "goal_policies": "Policies for goals",
     "learner": "Training throughput",
     "algorithms": "Algorithms and their peers",
     "hardware_grasp": "Simulator and servo bus",
