@@ -27,6 +27,7 @@ from dexctl.sim import GraspStates, SceneConfig, Simulation
 from dexctl.state import Bools, Floats, GraspState
 from learning.config import TrainConfig, recipe
 from learning.envs import ReorientationConfig, TaskConfig
+from learning.envs.goals import CUBE
 from learning.evaluation import Protocol, evaluate, rollout
 from learning.training.run_folder import RunFolder
 
@@ -65,18 +66,6 @@ class Options(Settings):
     """Folder of the trainings and of the starts."""
 
 
-def turns() -> Floats:
-    """The 24 turns of a cube onto itself, wxyz ``(24, 4)``."""
-    found = [np.array([1.0, 0.0, 0.0, 0.0])]
-    quarter = np.sqrt(0.5)
-    for start in found:  # the list grows while it is gone through
-        for axis in (X, Z):
-            turned = multiply(np.array([quarter, *(quarter * axis)]), start)
-            if not any(abs(turned @ other) > 1 - 1e-9 for other in found):
-                found.append(turned)
-    return np.array(found)
-
-
 def lean(quaternion: Floats, upright: Floats, axis: Floats) -> Floats:
     """Of a cube's faces, how far the nearest is from looking along ``axis``, ``(N,)`` [rad]."""
     there = rotate(
@@ -87,7 +76,7 @@ def lean(quaternion: Floats, upright: Floats, axis: Floats) -> Floats:
 
 def least_tilted(quaternion: Floats, upright: Floats, axis: Floats) -> Floats:
     """The same cubes told so that what was along ``axis`` upright is nearest to it now."""
-    alike = multiply(quaternion[:, None], turns())  # (N, 24, 4)
+    alike = multiply(quaternion[:, None], CUBE)  # (N, 24, 4)
     since = multiply(alike, inverse(upright)[:, None])
     along = rotate(since, np.broadcast_to(axis, (*since.shape[:-1], 3))) @ axis
     return alike[np.arange(len(alike)), along.argmax(axis=1)]

@@ -71,7 +71,7 @@ class ControllerEntry:
         title: what people read.
         description: one line.
         module, attribute: where the class is.
-        file: the keyword that takes what stands after the name and a colon; "": none does.
+        keyword: that takes what stands after the name and a colon; "": none does.
         wanted: what that is.
     """
 
@@ -80,7 +80,7 @@ class ControllerEntry:
     description: str
     module: str
     attribute: str
-    file: str = ""
+    keyword: str = ""
     wanted: str = "FILE"
 
     def load(self) -> Callable[..., Controller]:
@@ -137,7 +137,7 @@ _CONTROLLERS = {
             description="has another controller, steered:NAME, turn the object to a goal",
             module="dexctl.controllers",
             attribute="steered",
-            file="turner",
+            keyword="turner",
             wanted="NAME",
         ),
         ControllerEntry(
@@ -146,7 +146,7 @@ _CONTROLLERS = {
             description="has two controllers, sequence:ABOUT,ACROSS, turn the object to a goal",
             module="dexctl.controllers",
             attribute="sequence",
-            file="turners",
+            keyword="turners",
             wanted="ABOUT,ACROSS",
         ),
         ControllerEntry(
@@ -155,7 +155,7 @@ _CONTROLLERS = {
             description="follows a tree of grasps, planned:FILE, that dexctl plan has grown",
             module="dexctl.planning.following",
             attribute="PlannedGait",
-            file="tree",
+            keyword="tree",
         ),
         ControllerEntry(
             name="hold",
@@ -208,7 +208,7 @@ def names() -> tuple[str, ...]:
 
 
 def entry(name: str) -> ControllerEntry:
-    """What is known of a controller by name, a file after it or not.
+    """What is known of a controller by name, with what stands after it or not.
 
     Raises:
         UnknownName: no such controller.
@@ -220,20 +220,20 @@ def entry(name: str) -> ControllerEntry:
 
 
 def is_named(name: str) -> bool:
-    """Whether it is one of `names`, with a file after it where that controller takes one."""
+    """Whether it is one of `names`, with what stands after it where that controller takes it."""
     found = _known().get(_split(name)[0])
-    return found is not None and (found.name == name or bool(found.file))
+    return found is not None and (found.name == name or bool(found.keyword))
 
 
 def label(name: str) -> str:
-    """A controller's name as part of a folder's: a file after it has slashes."""
+    """A controller's name as part of a folder's: what stands after it may have slashes."""
     return re.sub(r"[^\w.-]+", "-", name)
 
 
 def _split(name: str) -> tuple[str, str]:
-    """The name of a controller, and the file after it."""
-    plain, _, file = str(name).partition(":")
-    return plain, file
+    """The name of a controller, and what stands after it."""
+    plain, _, after = str(name).partition(":")
+    return plain, after
 
 
 def make(
@@ -247,7 +247,7 @@ def make(
     """The controller ``name`` for ``hand``.
 
     Args:
-        name: one of `names`, with a file after it where it takes one (``planned:tree.npz``).
+        name: one of `names`, with what it takes after it (``planned:tree.npz``).
         hand: the hand.
         control_period: time between two calls of ``act`` [s]; None: what the controller's class
             takes by itself, such as the one that a policy was trained with.
@@ -265,10 +265,10 @@ def make(
     found = entry(name)
     kind = found.load()
     taken, more = _keywords(kind)
-    file = _split(name)[1]
-    if file:
-        options[found.file] = file
-    elif found.file and found.file not in options:
+    after = _split(name)[1]
+    if after:
+        options[found.keyword] = after
+    elif found.keyword and found.keyword not in options:
         raise InvalidInput(f"controller {name!r} needs more; expected {found.name}:{found.wanted}")
     if control_period is not None:
         options["control_period"] = control_period

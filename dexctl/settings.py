@@ -9,7 +9,7 @@ its own name wherever it stands: ``changed(train, {"axis": "x"})``. Two leaves o
 from __future__ import annotations
 
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -77,7 +77,7 @@ def _read_vector(words: list[str]) -> str | tuple[float, ...]:
 
 
 def _show_vector(value: str | tuple[float, ...]) -> list[str]:
-    return [value if isinstance(value, str) else ",".join(f"{number:g}" for number in value)]
+    return [value if isinstance(value, str) else _commas(value)]
 
 
 Vector = Annotated[
@@ -101,15 +101,23 @@ def _read_quaternion(words: list[str]) -> tuple[float, float, float, float]:
     return w, x, y, z
 
 
-Quaternion = Annotated[
-    tuple[float, float, float, float],
-    tyro.constructors.PrimitiveConstructorSpec(
+def _comma_separated(metavar: str, read: Callable[[list[str]], Any]) -> Any:
+    """How a tuple is one word of the command line."""
+    return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
-        metavar="W,X,Y,Z",
-        instance_from_str=_read_quaternion,
+        metavar=metavar,
+        instance_from_str=read,
         is_instance=lambda value: isinstance(value, tuple),
-        str_from_instance=lambda value: [",".join(f"{number:g}" for number in value)],
-    ),
+        str_from_instance=lambda value: [_commas(value)],
+    )
+
+
+def _commas(values: Iterable[float | str]) -> str:
+    return ",".join(one if isinstance(one, str) else f"{one:g}" for one in values)
+
+
+Quaternion = Annotated[
+    tuple[float, float, float, float], _comma_separated("W,X,Y,Z", _read_quaternion)
 ]
 """An orientation, wxyz; "w,x,y,z" on the command line."""
 
@@ -120,9 +128,7 @@ Quaternions = Annotated[
         metavar="[W,X,Y,Z ...]",
         instance_from_str=lambda words: tuple(_read_quaternion([word]) for word in words),
         is_instance=lambda value: isinstance(value, tuple),
-        str_from_instance=lambda value: [
-            ",".join(f"{number:g}" for number in each) for each in value
-        ],
+        str_from_instance=lambda value: [_commas(each) for each in value],
     ),
 ]
 """Several orientations, each as `Quaternion`."""
@@ -136,29 +142,15 @@ def _read_range(words: list[str]) -> tuple[float, float]:
     return low, high
 
 
-Range = Annotated[
-    tuple[float, float],
-    tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="LOW,HIGH",
-        instance_from_str=_read_range,
-        is_instance=lambda value: isinstance(value, tuple),
-        str_from_instance=lambda value: [",".join(f"{number:g}" for number in value)],
-    ),
-]
+Range = Annotated[tuple[float, float], _comma_separated("LOW,HIGH", _read_range)]
 """From a low to a high number; "low,high" on the command line."""
 
 
-Names = Annotated[
-    tuple[str, ...],
-    tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="NAME,NAME",
-        instance_from_str=lambda words: tuple(filter(None, words[0].split(","))),
-        is_instance=lambda value: isinstance(value, tuple),
-        str_from_instance=lambda value: [",".join(value)],
-    ),
-]
+def _read_names(words: list[str]) -> tuple[str, ...]:
+    return tuple(filter(None, words[0].split(",")))
+
+
+Names = Annotated[tuple[str, ...], _comma_separated("NAME,NAME", _read_names)]
 """Names that may begin with a minus; "x,-y" on the command line."""
 
 

@@ -78,6 +78,11 @@ def shown(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:76]} ..."
 
 
+def shown_numbers(value: ArrayLike) -> str:
+    """Numbers on one line of a message, three digits each."""
+    return f"({', '.join(f'{number:.3g}' for number in np.ravel(value))})"
+
+
 def number(
     name: str, value: object, low: float, high: float, wanted: str, *, above: bool = False
 ) -> float:
@@ -117,16 +122,49 @@ def numbers(name: str, value: ArrayLike, expected: str) -> NDArray[np.float64]:
     raise InvalidInput(f"{name} is not an array of numbers: {shown(value)}; expected {expected}")
 
 
-def check_twist(twist: object) -> None:
-    """Raise InvalidInput where ``twist`` is not six finite numbers."""
+def check_vector(
+    name: str, value: object, size: int, expected: str | None = None
+) -> NDArray[np.float64]:
+    """``value`` as a finite ``(size,)`` array.
+
+    Raises:
+        InvalidInput: another shape, or a number that is not finite; the message says what is
+            ``expected``.
+    """
     try:
-        array = np.asarray(twist, float)
+        array = np.asarray(cast(Any, value), float)
     except (TypeError, ValueError):
         array = np.empty(0)
-    if array.shape != (6,) or not np.isfinite(array).all():
-        raise InvalidInput(
-            f"twist is {twist!r}; expected six finite numbers: (linear [m/s], angular [rad/s])"
-        )
+    if array.shape != (size,) or not np.isfinite(array).all():
+        expected = f"{size} finite numbers" if expected is None else expected
+        raise InvalidInput(f"{name} is {value!r}; expected {expected}")
+    return array
+
+
+def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """``value`` ``(..., 4)`` with a length of 1.
+
+    Raises:
+        InvalidInput: it is no such array, or its length is not near 1.
+    """
+    found = numbers(name, value, "a unit quaternion, wxyz")
+    length = np.linalg.norm(found, axis=-1) if found.ndim and found.shape[-1] == 4 else np.nan
+    if not np.all(np.abs(length - 1.0) <= 0.01):
+        raise InvalidInput(f"{name} is {shown_numbers(value)}; expected a unit quaternion, wxyz")
+    return found / np.asarray(length)[..., None]
+
+
+def unit_quaternion(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """One orientation ``(4,)``, as `unit_quaternions`."""
+    found = unit_quaternions(name, value)
+    if found.shape != (4,):
+        raise InvalidInput(f"{name} has shape {found.shape}; expected one quaternion, wxyz")
+    return found
+
+
+def check_twist(twist: object) -> None:
+    """Raise InvalidInput where ``twist`` is not six finite numbers."""
+    check_vector("twist", twist, 6, "six finite numbers: (linear [m/s], angular [rad/s])")
 
 
 AXES: dict[str, tuple[float, float, float]] = {

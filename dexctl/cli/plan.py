@@ -34,14 +34,13 @@ from dexctl.planning import (
     grow_on_cluster,
     holding,
 )
-from dexctl.planning.goals import shown_goal
 from dexctl.planning.grow import check_ends
 from dexctl.planning.processes import part_files
 from dexctl.planning.tree import TREE
 from dexctl.settings import NESTED, Quaternion, Vector
 from dexctl.sim import Scene, SceneConfig
 from dexctl.statistics import wilson
-from dexctl.validation import unit_axis
+from dexctl.validation import shown_numbers, unit_axis
 
 FIGURES = "plan.json"
 _SECONDS = 60.0  # a tree towards goals has this long where nothing says how long [s]
@@ -148,8 +147,8 @@ class Plan:
         for goal, far in zip(self.goals.orientations, away, strict=True):
             if far > self.goals.angle:
                 notes().print(
-                    f"goal {shown_goal(goal)} is not reached: the nearest of {len(tree)} nodes is "
-                    f"{far:.2f} rad from it",
+                    f"goal {shown_numbers(goal)} is not reached: the nearest of {len(tree)} "
+                    f"nodes is {far:.2f} rad from it",
                     soft_wrap=True,
                 )
         return int((away > self.goals.angle).any())

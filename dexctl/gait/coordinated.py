@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import Controller, check_action, check_sound, check_state
+from dexctl.controller import BatchController, check_action, check_sound, check_state
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.selection import Grasps, choose, holds_without
 from dexctl.grasp.odometry import ContactOdometry
@@ -149,7 +149,7 @@ class CoordinatedGaitChanges(TypedDict, total=False):
     residual_limit: float
 
 
-class CoordinatedGait(Controller):
+class CoordinatedGait(BatchController):
     """In-grasp manipulation and the guarded switch, coordinated.
 
     The finger that has gone furthest with the object is switched back, when the others hold:
@@ -259,14 +259,8 @@ class CoordinatedGait(Controller):
         self.switch.load_state_dict(met["switch"])
         self._odometry.load_state_dict(met["odometry"])
 
-    def act(self, state: GraspState) -> Floats:
-        check_state(self.hand, state)
-        check_sound(self.hand, state)
-        if state.batch_shape:
-            return self.command(state)
-        action = self.command(state[None])[0]
-        self._diagnostics = {name: value[0] for name, value in self._diagnostics.items()}
-        return action
+    def act_batch(self, state: GraspState) -> Floats:
+        return self.command(state)
 
     def command(self, state: GraspState, twist: Floats | None = None) -> Floats:
         """As `act`, for a batch ``(N,)`` that is sound, with a twist of its own for each hand.

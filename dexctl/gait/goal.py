@@ -17,7 +17,7 @@ from dexctl.rotations import from_rotation_vector, inverse, multiply, rotation_v
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Floats, GraspState
 from dexctl.switch.landing import split
-from dexctl.validation import check_kind, check_mask, check_numbers, with_changes
+from dexctl.validation import check_kind, check_mask, check_numbers, unit_quaternion, with_changes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,8 @@ class GoalGaitConfig:
                 f"align_angle is {self.align_angle} and turn_angle {self.turn_angle}; expected the "
                 "first to be no greater"
             )
-        check_goal(self.goal)
+        if self.goal is not None:
+            unit_quaternion("goal", self.goal)
 
     @classmethod
     def suiting(cls, hand: HandModel) -> GoalGaitConfig:
@@ -220,14 +221,6 @@ class GoalGait(BatchController):
 
 
 _HALF_TURN = 0.3  # how near to half a turn is half a turn [rad]
-
-
-def check_goal(goal: tuple[float, ...] | None) -> None:
-    """Raise InvalidInput where a goal is no orientation."""
-    if goal is not None:
-        length = np.linalg.norm(goal) if np.shape(goal) == (4,) else np.nan
-        if not abs(length - 1.0) <= 0.01:
-            raise InvalidInput(f"goal is {goal}; expected a unit quaternion, wxyz")
 
 
 def shortened(vector: Floats, most: float) -> Floats:

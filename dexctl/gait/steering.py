@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller, check_sound, check_state
 from dexctl.exceptions import InvalidInput
-from dexctl.gait.goal import GoalGait, check_goal, shortened
+from dexctl.gait.goal import GoalGait, shortened
 from dexctl.hand import HandModel
 from dexctl.rotations import inverse, multiply, rotation_vector
 from dexctl.state import Floats, GraspState
-from dexctl.validation import check_numbers, with_changes
+from dexctl.validation import check_numbers, unit_quaternion, with_changes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,8 @@ class GoalSteeringConfig:
 
     def __post_init__(self) -> None:
         check_numbers(self, positive=("gain", "speed"))
-        check_goal(self.goal)
+        if self.goal is not None:
+            unit_quaternion("goal", self.goal)
 
 
 class GoalSteeringChanges(TypedDict, total=False):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dexctl.exceptions import InvalidInput
 from dexctl.planning.bounds import Bounds
@@ -14,7 +14,7 @@ from dexctl.planning.nodes import Frame
 from dexctl.rotations import angle_between
 from dexctl.settings import Quaternions
 from dexctl.state import Floats
-from dexctl.validation import check_numbers, numbers
+from dexctl.validation import check_numbers, shown_numbers, unit_quaternion
 
 _UPSIDE_DOWN = 2.9  # an axis that leans so far has no rotation about it that means anything [rad]
 
@@ -39,7 +39,7 @@ class GoalOrientations:
     def __post_init__(self) -> None:
         check_numbers(self, positive=("angle",), not_negative=("margin",), fractions=("share",))
         for goal in self.orientations:
-            unit_quaternions("a goal", goal)
+            unit_quaternion("a goal", goal)
 
     def __len__(self) -> int:
         return len(self.orientations)
@@ -66,9 +66,9 @@ class GoalOrientations:
         if over.max() > _UPSIDE_DOWN:
             worst = int(over.argmax())
             raise InvalidInput(
-                f"goal {shown_goal(self.orientations[worst])} leans {over[worst]:.2f} rad from the "
-                f"axis {tuple(frame.axis.tolist())}; expected {_UPSIDE_DOWN} at most, or an axis "
-                "that it turns about"
+                f"goal {shown_numbers(self.orientations[worst])} leans {over[worst]:.2f} rad from "
+                f"the axis {tuple(frame.axis.tolist())}; expected {_UPSIDE_DOWN} at most, or an "
+                "axis that it turns about"
             )
         low, high = bounds.rotation
         return replace(
@@ -106,21 +106,3 @@ class GoalOrientations:
         """Tilt ``(G, 2)`` and rotation ``(G,)`` of the goals, the latter from -pi to pi."""
         goal = self.quaternion
         return frame.tilt(goal), frame.rotation(goal, np.zeros(len(goal)))
-
-
-def unit_quaternions(name: str, value: ArrayLike) -> Floats:
-    """``value`` ``(..., 4)`` with a length of 1.
-
-    Raises:
-        InvalidInput: it is no such array, or its length is not near 1.
-    """
-    found = numbers(name, value, "a unit quaternion, wxyz")
-    length = np.linalg.norm(found, axis=-1) if found.ndim and found.shape[-1] == 4 else np.nan
-    if not np.all(np.abs(length - 1.0) <= 0.01):
-        raise InvalidInput(f"{name} is {shown_goal(value)}; expected a unit quaternion, wxyz")
-    return found / np.asarray(length)[..., None]
-
-
-def shown_goal(quaternion: ArrayLike) -> str:
-    """An orientation as messages have it."""
-    return f"({', '.join(f'{number:.3g}' for number in np.ravel(quaternion))})"

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.files import aside
-from dexctl.planning.goals import shown_goal, unit_quaternions
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.nodes import NODE_FIELDS, Frame, Nodes
 from dexctl.rotations import angle_between
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Floats
+from dexctl.validation import shown_numbers, unit_quaternions
 
 if TYPE_CHECKING:
     import networkx
@@ -232,7 +232,7 @@ class Tree:
             least = float(angle_between(own, one).min())
             if least > _BEYOND:
                 raise InvalidInput(
-                    f"goal_quaternion {shown_goal(one)} is {least:.2f} rad from the nearest of "
+                    f"goal_quaternion {shown_numbers(one)} is {least:.2f} rad from the nearest of "
                     f"{len(self)} nodes; expected {_BEYOND} at most"
                 )
         return (angle_between(own, one) for one in np.broadcast_to(goals, (n, 4)))

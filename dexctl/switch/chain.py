@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
@@ -42,21 +42,6 @@ def check_finger(hand: HandModel, finger: int) -> int:
     if not 0 <= finger < hand.n_fingers:
         raise UnknownName("finger", finger, map(str, range(hand.n_fingers)))
     return int(finger)
-
-
-def check_vector(name: str, value: ArrayLike, size: int) -> Floats:
-    """``value`` as a finite ``(size,)`` array.
-
-    Raises:
-        InvalidInput: another shape, or a number that is not finite.
-    """
-    try:
-        array = np.asarray(value, float)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != (size,) or not np.isfinite(array).all():
-        raise InvalidInput(f"{name} is {value!r}; expected {size} finite numbers")
-    return array
 
 
 def own_joints(hand: HandModel, finger: int) -> Indices:

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import HandModelError, InvalidInput
 from dexctl.hand import HandModel
 from dexctl.state import Floats
-from dexctl.switch.chain import Indices, check_finger, check_vector, own_joints, spread
+from dexctl.switch.chain import Indices, check_finger, own_joints, spread
+from dexctl.validation import check_vector
 
 _ITERATIONS_PER_START = 25
 _DAMPING = 1e-8  # m^2/rad^2: keeps steps finite where the finger is straight

@@ -16,8 +16,9 @@ from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel, random_configurations
 from dexctl.state import Floats
 from dexctl.switch import swing_guess
-from dexctl.switch.chain import Indices, check_finger, check_vector, own_joints
+from dexctl.switch.chain import Indices, check_finger, own_joints
 from dexctl.switch.swing_problem import Surface, SwingProblem, SwingShape
+from dexctl.validation import check_vector
 
 _MARGIN = 5e-4  # m: the path bows between knots; kept at the knots on top of the clearance
 _SAMPLES = 4  # per segment, where the plan is checked

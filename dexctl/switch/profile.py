@@ -13,8 +13,8 @@ from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import LateStreams
-from dexctl.switch.chain import check_vector, joint_roles
-from dexctl.validation import check_mask
+from dexctl.switch.chain import joint_roles
+from dexctl.validation import check_mask, check_vector
 
 Indices = NDArray[np.intp]
 

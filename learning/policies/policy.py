@@ -9,11 +9,11 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import UNIT_TOLERANCE, Controller, check_action, check_state
+from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from dexctl.state import Floats, GraspState
-from dexctl.validation import numbers
+from dexctl.validation import check_vector, unit_quaternion
 from learning.envs.action import SetPointAction
 from learning.envs.observation import ORIENTATIONS, TURNING, Observation, check_parts
 
@@ -164,28 +164,22 @@ class Policy(Controller):
         self.layers = check_layers(layers, self.observation.size, hand.nq)
         self._activation = ACTIVATIONS[spec.activation]
         self._wanted = {
-            "goal_quaternion": self._told("goal", goal, 4, ORIENTATIONS),
-            "goal_angular_velocity": self._told(
-                "angular_velocity", angular_velocity, 3, (TURNING,)
+            "goal_quaternion": None if goal is None else unit_quaternion("goal", goal),
+            "goal_angular_velocity": (
+                None
+                if angular_velocity is None
+                else check_vector("angular_velocity", angular_velocity, 3)
             ),
         }
+        self._check_told("goal", goal, ORIENTATIONS)
+        self._check_told("angular_velocity", angular_velocity, (TURNING,))
 
-    def _told(
-        self, what: str, value: ArrayLike | None, size: int, parts: tuple[str, ...]
-    ) -> Floats | None:
-        if value is None:
-            return None
-        if not set(parts) & set(self.observation.parts):
+    def _check_told(self, what: str, value: ArrayLike | None, parts: tuple[str, ...]) -> None:
+        if value is not None and not set(parts) & set(self.observation.parts):
             raise InvalidInput(
                 f"{what} is {value}, and the policy, which observes "
                 f"{', '.join(self.observation.parts)}, was not trained to be told; expected None"
             )
-        found = numbers(what, value, f"{size} finite numbers")
-        if found.shape != (size,) or not np.isfinite(found).all():
-            raise InvalidInput(f"{what} is {value}; expected {size} finite numbers")
-        if size == 4 and not abs(np.linalg.norm(found) - 1.0) <= UNIT_TOLERANCE:
-            raise InvalidInput(f"{what} is {value}; expected a unit quaternion, wxyz")
-        return found
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Nothing to forget: the policy has no memory."""

@@ -268,13 +268,7 @@ def test_bad_arguments_get_one_line_and_code_2(
 
 
 def test_one_line_where_the_terminal_knows_ascii_only() -> None:
-    said = subprocess.run(
-        [sys.executable, "-m", "dexctl", "rotate", "--seconds", "long"],
-        env={**os.environ, "PYTHONIOENCODING": "ascii"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    said = dexctl_command("rotate", "--seconds", "long", PYTHONIOENCODING="ascii")
     assert said.returncode == 2
     assert said.stderr == (
         "dexctl: --seconds: could not convert string to float: 'long' (see dexctl rotate --help)\n"

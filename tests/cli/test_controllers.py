@@ -27,7 +27,7 @@ def state_of(hand: dexctl.HandModel, batch: tuple[int, ...] = ()) -> dexctl.Gras
 
 ENTRIES = [controllers.entry(name) for name in controllers.names()]
 NAMES = [each.name for each in ENTRIES if each.module.startswith("dexctl")]
-OWN = [each.name for each in ENTRIES if each.module.startswith("dexctl") and not each.file]
+OWN = [each.name for each in ENTRIES if each.module.startswith("dexctl") and not each.keyword]
 
 
 @pytest.mark.parametrize("name", OWN)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -49,6 +49,25 @@ CONTROLLERS: dict[str, Callable[..., Controller]] = {
 }
 
 
+class Still(Controller):
+    """Holds still, and keeps what it was asked."""
+
+    asked: GraspState | None = None
+
+    def act(self, state: GraspState) -> np.ndarray:
+        self.asked = state
+        return np.zeros_like(state.q)
+
+    def reset(self, seed: Any = None, mask: Any = None) -> None:
+        pass
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._signed()
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        self._parts(saved)
+
+
 @dataclass
 class Run:
     """A closed loop: what the controller saw, and what it did."""
@@ -84,6 +103,12 @@ def close_loop(
 @pytest.fixture(scope="session")
 def loop() -> Callable[..., Run]:
     return close_loop
+
+
+@pytest.fixture(scope="session")
+def still() -> Callable[..., Any]:
+    """Makes a controller that holds still, and keeps in ``asked`` what it was asked."""
+    return Still
 
 
 @pytest.fixture(scope="session")

@@ -2,55 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dexctl import Controller, GraspState, InvalidInput, controllers
+from dexctl import GraspState, InvalidInput, controllers
 from dexctl.gait import GoalSequence
 from dexctl.gait.sequence import Leg
 from dexctl.rotations import angle_between, from_rotation_vector, inverse, multiply
 from dexctl.sim import BatchSimulator, Scene
+from learning.envs.goals import CUBE
 
 X, Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 
-class Still(Controller):
-    """Holds still, and keeps what it was told."""
-
-    spin: np.ndarray | None = None
-    goal: np.ndarray | None = None
-
-    def act(self, state: GraspState) -> np.ndarray:
-        self.spin, self.goal = state.goal_angular_velocity, state.goal_quaternion
-        return np.zeros_like(state.q)
-
-    def reset(self, seed: Any = None, mask: Any = None) -> None:
-        pass
-
-    def state_dict(self) -> dict[str, Any]:
-        return self._signed()
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        self._parts(saved)
-
-
 def about(axis: np.ndarray, angle: Any) -> np.ndarray:
     return from_rotation_vector(np.asarray(angle, float)[..., None] * axis)
-
-
-def quarter_turns() -> np.ndarray:
-    """The 24 turns of a cube onto itself, wxyz ``(24, 4)``."""
-    found = [np.array([1.0, 0.0, 0.0, 0.0])]
-    for start in found:  # grows while it is gone through
-        for axis in (X, Z):
-            turned = multiply(about(axis, np.pi / 2), start)
-            if not any(abs(turned @ other) > 1 - 1e-9 for other in found):
-                found.append(turned)
-    return np.array(found)
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +30,8 @@ def start(cylinder: Scene) -> GraspState:
 
 
 @pytest.fixture
-def sequence(cylinder: Scene) -> GoalSequence:
-    return GoalSequence(cylinder.hand, about=Still(cylinder.hand), across=Still(cylinder.hand))
+def sequence(cylinder: Scene, still: Callable[..., Any]) -> GoalSequence:
+    return GoalSequence(cylinder.hand, about=still(cylinder.hand), across=still(cylinder.hand))
 
 
 def test_what_is_left_is_a_tilt_and_two_turns(sequence: GoalSequence) -> None:
@@ -81,7 +51,7 @@ def test_all_orientations_of_a_cube_are_reached_by_turns_one_way(
     """An object that turns as it is told: no leg is missing, none goes on for ever."""
     upright = start.object_quaternion
     assert upright is not None
-    goal = multiply(quarter_turns(), upright)
+    goal = multiply(CUBE, upright)
     assert len(goal) == 24
     now, legs, turned = upright.copy(), [], np.zeros(24)
     for _ in range(600):
@@ -105,16 +75,15 @@ def test_each_controller_is_told_its_axis_and_no_goal(
     assert start.object_quaternion is not None
     turns = multiply(about(X, [1.5] * 24), start.object_quaternion)
     sequence.act(replace(start, goal_quaternion=turns))
-    about_z, across = sequence.about, sequence.across
-    assert isinstance(about_z, Still) and isinstance(across, Still)
-    np.testing.assert_array_equal(about_z.spin, np.tile(0.5 * Z, (24, 1)))
-    np.testing.assert_array_equal(across.spin, np.tile(0.5 * X, (24, 1)))
-    assert about_z.goal is None and across.goal is None
+    turners: Any = (sequence.about, sequence.across)
+    for one, axis in zip(turners, (Z, X), strict=True):
+        np.testing.assert_array_equal(one.asked.goal_angular_velocity, np.tile(0.5 * axis, (24, 1)))
+        assert one.asked.goal_quaternion is None
     assert (sequence.diagnostics["leg"] == Leg.ACROSS).all()
     np.testing.assert_allclose(sequence.diagnostics["across"], 1.5, atol=0.05)
-    across.spin = None
+    turners[1].asked = None
     sequence.act(start)  # no goal: it is turned about the axis
-    assert across.spin is None
+    assert turners[1].asked is None
     one = replace(start[0], goal_quaternion=turns[0])
     sequence.reset()
     assert sequence.act(one).shape == (15,)
@@ -144,7 +113,9 @@ def test_it_is_known_by_name(cylinder: Scene) -> None:
         controllers.make("sequence:goal", cylinder.hand)
 
 
-def test_what_it_refuses(cylinder: Scene, sequence: GoalSequence, start: GraspState) -> None:
+def test_what_it_refuses(
+    cylinder: Scene, sequence: GoalSequence, start: GraspState, still: Callable[..., Any]
+) -> None:
     hand = cylinder.hand
     with pytest.raises(InvalidInput, match=r"across_axis is \(0, 0, 2\); expected one at right"):
         GoalSequence(hand, across_axis=(0, 0, 2))
@@ -153,7 +124,7 @@ def test_what_it_refuses(cylinder: Scene, sequence: GoalSequence, start: GraspSt
     with pytest.raises(InvalidInput, match="about is 'goal'; expected a Controller"):
         GoalSequence(hand, about="goal")  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="across has a control period of 0.02; expected 0.05"):
-        GoalSequence(hand, across=Still(hand, control_period=0.02))
+        GoalSequence(hand, across=still(hand, control_period=0.02))
     blind = replace(start, goal_quaternion=start.object_quaternion, object_quaternion=None)
     with pytest.raises(InvalidInput, match="a goal and no pose"):
         sequence.act(blind)

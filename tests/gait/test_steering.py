@@ -2,43 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dexctl import Controller, GraspState, InvalidInput, UnknownName, controllers
+from dexctl import GraspState, InvalidInput, UnknownName, controllers
 from dexctl.gait import GoalGait, GoalSteering
 from dexctl.rotations import from_rotation_vector, inverse, multiply, rotation_vector
 from dexctl.sim import BatchSimulator, Scene
 
 
-class Noting(Controller):
-    """Holds still, and keeps what it was asked for."""
-
-    asked: GraspState
-
-    def act(self, state: GraspState) -> np.ndarray:
-        self.asked = state
-        return np.zeros_like(state.q)
-
-    def reset(self, seed: Any = None, mask: Any = None) -> None:
-        pass
-
-    def state_dict(self) -> dict[str, Any]:
-        return self._signed()
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        self._parts(saved)
-
-    @property
-    def spin(self) -> np.ndarray:
-        """The angular velocity that it was asked for."""
-        assert self.asked.goal_quaternion is None
-        assert self.asked.goal_angular_velocity is not None
-        return self.asked.goal_angular_velocity
+def asked(turner: Any) -> np.ndarray:
+    """The angular velocity that a controller was asked for."""
+    assert turner.asked.goal_quaternion is None
+    return turner.asked.goal_angular_velocity
 
 
 @pytest.fixture(scope="module")
@@ -54,19 +34,21 @@ def ahead(state: GraspState, turns: list[list[float]]) -> GraspState:
     return replace(state, goal_quaternion=goal)
 
 
-def test_it_asks_for_the_turn_that_is_left(cylinder: Scene, start: GraspState) -> None:
-    turner = Noting(cylinder.hand)
+def test_it_asks_for_the_turn_that_is_left(
+    cylinder: Scene, start: GraspState, still: Callable[..., Any]
+) -> None:
+    turner = still(cylinder.hand)
     steering = GoalSteering(cylinder.hand, turner=turner, gain=2.0, speed=0.5)
     steering.act(ahead(start, [[0.1, 0, -0.05], [0, 3.0, 0], [0, 0, 0]]))
-    np.testing.assert_allclose(turner.spin, [[0.2, 0, -0.1], [0, 0.5, 0], [0, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(asked(turner), [[0.2, 0, -0.1], [0, 0.5, 0], [0, 0, 0]], atol=1e-12)
     np.testing.assert_allclose(steering.diagnostics["left"], [0.1118034, 3.0, 0.0], atol=1e-7)
     one = ahead(start, [[0, 3.0, 0]] * 3)[1]
     steering.reset()
     steering.act(one)
-    np.testing.assert_allclose(turner.spin, [0, 0.5, 0], atol=1e-12)
+    np.testing.assert_allclose(asked(turner), [0, 0.5, 0], atol=1e-12)
     told = GoalSteering(cylinder.hand, turner=turner, goal=(0.0, 1.0, 0.0, 0.0))
     told.act(start)
-    assert np.linalg.norm(turner.spin, axis=-1) == pytest.approx(0.5)
+    assert np.linalg.norm(asked(turner), axis=-1) == pytest.approx(0.5)
     steering.act(start)  # no goal, nothing asked
     assert turner.asked.goal_angular_velocity is None
 
