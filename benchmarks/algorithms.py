@@ -21,7 +21,6 @@ from typing import Any, Literal
 import numpy as np
 from common import Figure, Settings, measure_with_seeds, settings, write
 
-from dexctl.exceptions import UnknownName
 from dexctl.settings import to_plain
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.statistics import bootstrap
@@ -120,8 +119,6 @@ class Options(Settings):
 
 def config(name: str, seed: int, given: Options) -> TrainConfig:
     """Everything that both trainings of a case are."""
-    if name not in CASES:
-        raise UnknownName("case", name, CASES)
     case = CASES[name]
     own, turn = case.settings, case.turn * case.num_envs
     steps = max(round(case.steps * given.share / turn), 1) * turn

@@ -11,25 +11,28 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
+from types import TracebackType
 from typing import Any, TypeVar
 
 import numpy as np
 import tyro
 
 from dexctl.controller import Controller
+from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.files import write_text
 from dexctl.report.machine import machine
 from dexctl.rotations import inverse, multiply
 from dexctl.settings import to_plain
 from dexctl.sim import Scene, SceneConfig, Simulation, Trace, run
 from dexctl.statistics import bootstrap, wilson
+from dexctl.validation import check_name
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FULL_TURN = 2 * np.pi
@@ -57,8 +60,25 @@ S = TypeVar("S", bound=Settings)
 
 
 def settings(kind: type[S], description: str | None) -> S:
-    """The command line's settings."""
+    """The command line's settings; what is wrong with them is said in one line from here on."""
+    sys.excepthook = _say
     return tyro.cli(kind, description=description)
+
+
+def _say(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    if isinstance(error, DexctlError):
+        progress(str(error))
+    elif isinstance(error, KeyboardInterrupt):
+        progress("interrupted; where a script has rows, the same command with --resume goes on")
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+def check_chosen(what: str, chosen: Iterable[str], known: Iterable[str]) -> None:
+    """Raise UnknownName where one of ``chosen`` is none of ``known``."""
+    known = list(known)
+    for name in chosen:
+        check_name(what, name, known)
 
 
 @dataclass(frozen=True)
@@ -158,9 +178,12 @@ def earlier(name: str, given: Settings, fixed: Sequence[str] = FIXED) -> list[di
     path = given.out / f"{name}.json"
     if not (given.resume and path.is_file()):
         return []
-    found = json.loads(path.read_text())
-    same = all(found["settings"][key] == getattr(given, key) for key in fixed)
-    return found["trials"] if same else []
+    try:
+        found = json.loads(path.read_text())
+        same = all(found["settings"][key] == getattr(given, key) for key in fixed)
+        return found["trials"] if same else []
+    except (ValueError, LookupError, TypeError) as error:
+        raise InvalidInput(f"{path} is no result to go on with: {error}") from error
 
 
 def grid(
@@ -205,6 +228,7 @@ def measure_in_scenes(
         title: of the table, before its "median rotation in ...".
         measure: (one, scene) -> its trials.
     """
+    check_chosen(column, chosen, texts)
     rows = earlier(name, given)
 
     def save(*, say: bool) -> list[list[str]]:
@@ -259,6 +283,7 @@ def measure_with_seeds(
         line: row -> what whoever waits reads.
         fixed: see `earlier`.
     """
+    check_chosen(column, chosen, known)
     order = [(one, given.seed + k) for k in range(given.seeds) for one in chosen]
     for each in order:  # what is wrong with the settings shows before any training
         config(*each, given)
@@ -281,9 +306,6 @@ def measure_with_seeds(
             rows[each] = done.result()
             write_down(say=False)
             progress(f"{one}, seed {seed}: {line(rows[each])}")
-    except KeyboardInterrupt:
-        progress("interrupted; the same command with --resume goes on")
-        sys.exit(130)
     finally:
         pool.shutdown(cancel_futures=True)
     write_down(say=True)

@@ -12,6 +12,7 @@ from common import (
     FULL_TURN,
     Figure,
     Settings,
+    check_chosen,
     earlier,
     over_seeds,
     percent_interval,
@@ -192,6 +193,7 @@ def write_cards(rows: list[dict[str, Any]], given: Options) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
+    check_chosen("conditions", given.conditions, CONDITIONS)
     rows = earlier("conditions", given)
     done = {(row["who"], row["condition"], row["object"]) for row in rows}
     for chosen, turned, who in product(given.conditions, given.objects, given.who):

@@ -14,7 +14,6 @@ from typing import Any
 
 from common import FULL_TURN, Settings, measure_with_seeds, over_seeds, settings, share, write
 
-from dexctl.exceptions import UnknownName
 from dexctl.settings import changed, get, to_plain
 from learning.config import TrainConfig, recipe
 from learning.evaluation import evaluate, open_subject
@@ -90,8 +89,6 @@ class Options(Settings):
 
 def config(name: str, seed: int, given: Options) -> TrainConfig:
     """Everything that the training of a variant is."""
-    if name not in VARIANTS:
-        raise UnknownName("variant", name, VARIANTS)
     variant, thesis = VARIANTS[name], TrainConfig()
     return changed(
         recipe(variant.recipe, variant.method),

@@ -17,7 +17,17 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from common import FULL_TURN, PALMS, Figure, Settings, progress, settings, share, write
+from common import (
+    FULL_TURN,
+    PALMS,
+    Figure,
+    Settings,
+    check_chosen,
+    progress,
+    settings,
+    share,
+    write,
+)
 
 from dexctl.exceptions import InvalidInput
 from dexctl.planning import (
@@ -381,6 +391,7 @@ def figures(rows: list[dict[str, Any]], given: Options) -> list[Figure]:
 
 def main() -> None:
     given = settings(Options, __doc__)
+    check_chosen("part", given.parts, PARTS)
     path = given.out / "planning.json"
     rows: list[dict[str, Any]] = []
     if path.is_file():  # the parts that are not measured anew stay

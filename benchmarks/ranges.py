@@ -9,12 +9,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Settings, earlier, over_seeds, percent_interval, progress, settings, share, write
+from common import (
+    Settings,
+    check_chosen,
+    earlier,
+    over_seeds,
+    percent_interval,
+    progress,
+    settings,
+    share,
+    write,
+)
 
 from dexctl.files import aside
 from dexctl.report.style import INK, drawing, finger_colour, new_figure
 from dexctl.settings import changed
-from dexctl.validation import check_name
 from learning.evaluation import Protocol, evaluate, open_subject
 
 # setting: what stands under the axis, its factor, and the levels
@@ -143,8 +152,7 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    for name in given.varied:
-        check_name("setting", name, list(VARIED))
+    check_chosen("setting", given.varied, VARIED)
     rows = earlier("ranges", given)
     done = {(row["who"], row["setting"], row["level"], row["palm"]) for row in rows}
     for name, who, palm in product(given.varied, given.who, LINES):

@@ -138,7 +138,8 @@ def main() -> None:
     rows = earlier("servo_hand", given)
     done = {(row["who"], row["object"], row["seed"]) for row in rows}
     seeds = range(given.seed, given.seed + given.trials)
-    with ThreadPoolExecutor(given.jobs) as pool:
+    pool = ThreadPoolExecutor(given.jobs)
+    try:
         waiting = [
             pool.submit(trial, who, turned, seed, given)
             for who, turned, seed in product(given.who, given.objects, seeds)
@@ -148,6 +149,8 @@ def main() -> None:
             rows.append(one.result())
             save(rows, given, say=False)
             progress(json.dumps(rows[-1]))
+    finally:  # after a Ctrl-C, which ends the trials under way, none begins
+        pool.shutdown(cancel_futures=True)
     save(rows, given, say=True)
 
 

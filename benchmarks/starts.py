@@ -17,6 +17,7 @@ from common import (
     FULL_TURN,
     Figure,
     Settings,
+    check_chosen,
     earlier,
     over_seeds,
     percent_interval,
@@ -26,7 +27,6 @@ from common import (
     write,
 )
 
-from dexctl.exceptions import UnknownName
 from dexctl.planning import Kinematic, grow, path_states
 from dexctl.settings import changed
 from dexctl.sim import SceneConfig
@@ -293,10 +293,8 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    for names, known, what in ((given.tasks, TASKS, "task"), (given.methods, METHODS, "method")):
-        for name in names:
-            if name not in known:
-                raise UnknownName(what, name, known)
+    check_chosen("task", given.tasks, TASKS)
+    check_chosen("method", given.methods, METHODS)
     rows = earlier("starts", given)
     done = {(row["task"], row["method"]) for row in rows}
     for name in given.tasks:

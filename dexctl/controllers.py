@@ -72,7 +72,8 @@ class ControllerEntry:
         description: one line.
         module, attribute: where the class is.
         keyword: that takes what stands after the name and a colon; "": none does.
-        wanted: what that is.
+        wanted: what that is, ...
+        others: ... and whether it is other controllers, with commas between.
     """
 
     name: str
@@ -82,6 +83,7 @@ class ControllerEntry:
     attribute: str
     keyword: str = ""
     wanted: str = "FILE"
+    others: bool = False
 
     def load(self) -> Callable[..., Controller]:
         """The controller's class, or what another package registered in its place.
@@ -139,6 +141,7 @@ _CONTROLLERS = {
             attribute="steered",
             keyword="turner",
             wanted="NAME",
+            others=True,
         ),
         ControllerEntry(
             name="sequence",
@@ -148,6 +151,7 @@ _CONTROLLERS = {
             attribute="sequence",
             keyword="turners",
             wanted="ABOUT,ACROSS",
+            others=True,
         ),
         ControllerEntry(
             name="planned",
@@ -225,6 +229,20 @@ def is_named(name: str) -> bool:
     return found is not None and (found.name == name or bool(found.keyword))
 
 
+def keeps_period(name: str) -> bool:
+    """Whether it may have a control period of its own, or is of others that may.
+
+    Policies have that of their training, and nobody knows of other packages' controllers; those of
+    this package take any.
+    """
+    if not is_named(name):
+        return True
+    found = entry(name)
+    if found.others:
+        return any(keeps_period(one) for one in _several(_split(name)[1]))
+    return not found.module.startswith("dexctl.")
+
+
 def label(name: str) -> str:
     """A controller's name as part of a folder's: what stands after it may have slashes."""
     return re.sub(r"[^\w.-]+", "-", name)
@@ -234,6 +252,11 @@ def _split(name: str) -> tuple[str, str]:
     """The name of a controller, and what stands after it."""
     plain, _, after = str(name).partition(":")
     return plain, after
+
+
+def _several(after: str) -> list[str]:
+    """Names with commas between them."""
+    return [name.strip() for name in after.split(",")]
 
 
 def make(
@@ -388,8 +411,8 @@ def sequence(
     """
     from dexctl.gait import GoalSequence
 
-    names = [name.strip() for name in turners.split(",")]
-    if len(names) != 2:
+    names = _several(turners)
+    if len(names) != 2 or "" in names:
         raise InvalidInput(f"got {turners!r}; expected two controllers, sequence:ABOUT,ACROSS")
     about, across = (resolve(name, hand, control_period=control_period) for name in names)
     return GoalSequence(

@@ -96,8 +96,7 @@ def make_controller(
     """
     about = unit_axis(axis)
     known = controllers.is_named(name)
-    own = known and controllers.entry(name).module.startswith("dexctl.")
-    period = config.control_period if own else None
+    period = None if controllers.keeps_period(name) else config.control_period
     try:
         made = controllers.resolve(name, hand, control_period=period, axis=about)
     except InvalidInput as error:

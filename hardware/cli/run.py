@@ -217,10 +217,9 @@ def make_controller(name: str, model: HandModel, rate: float | None = None) -> C
 
 
 def _usual_period(name: str) -> float | None:
-    """None for policies and controllers of other packages, which may have a rate of their own."""
-    known = controllers.is_named(name)
-    own = known and controllers.entry(name).module.startswith("dexctl.")
-    return PERIOD if own or ":" in name else None
+    """None for who may have a rate of their own, but for functions, which are told one."""
+    function = ":" in name and not controllers.is_named(name)
+    return PERIOD if function or not controllers.keeps_period(name) else None
 
 
 def truth(session: Session) -> Mapping[str, Any]:

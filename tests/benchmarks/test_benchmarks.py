@@ -139,10 +139,33 @@ def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
     assert all("not here" in row["missing"] for row in rows)
 
 
-def test_bad_settings_are_refused(tmp_path: Path) -> None:
-    done = run("in_grasp.py", "--trials", "0", "--out", tmp_path)
-    assert done.returncode != 0
-    assert "num_envs is 0" in done.stderr
+@pytest.mark.parametrize(
+    ("script", "arguments", "said"),
+    [
+        ("in_grasp.py", "--trials 0", "num_envs is 0"),
+        ("ablation.py", "--variants none", "unknown variant 'none'; known: complete, "),
+        ("conditions.py", "--conditions none", "unknown conditions 'none'; known: up, down"),
+        ("conditions.py", "--who nobody", "unknown controller 'nobody'; known: igm, "),
+        ("planning.py", "--parts none", "unknown part 'none'; known: kinematic, "),
+    ],
+)
+def test_bad_settings_are_refused_in_one_line(
+    script: str, arguments: str, said: str, tmp_path: Path
+) -> None:
+    done = run(script, *arguments.split(), "--out", tmp_path)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert said in done.stderr.splitlines()[-1]
+
+
+def test_a_damaged_result_is_not_gone_on_with(tmp_path: Path) -> None:
+    path = tmp_path / "ablation.json"
+    path.write_text('{"settings": {')
+    done = run("ablation.py", *SHORT, "--resume", "--out", tmp_path)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert f"{path} is no result to go on with: " in line
+    assert path.read_text() == '{"settings": {'
 
 
 def test_results_are_there() -> None:

@@ -109,8 +109,9 @@ def test_it_is_known_by_name(cylinder: Scene) -> None:
     assert type(made.across).__name__ == "CoordinatedGait" and made.control_period == 0.02
     with pytest.raises(InvalidInput, match="expected sequence:ABOUT,ACROSS"):
         controllers.make("sequence", cylinder.hand)
-    with pytest.raises(InvalidInput, match="got 'goal'; expected two controllers"):
-        controllers.make("sequence:goal", cylinder.hand)
+    for wrong in ("goal", ",goal", "goal,", "goal,goal,goal"):
+        with pytest.raises(InvalidInput, match=f"got '{wrong}'; expected two controllers"):
+            controllers.make(f"sequence:{wrong}", cylinder.hand)
 
 
 def test_what_it_refuses(
