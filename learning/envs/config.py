@@ -9,6 +9,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.settings import NESTED
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_numbers, check_whole
+from learning.envs.history import check_steps
 from learning.envs.observation import (
     DEFAULT_PARTS,
     ORIENTATIONS,
@@ -39,6 +40,8 @@ class EnvConfig:
     parts: tuple[str, ...] = DEFAULT_PARTS
     """What the policy observes, in this order; touch, gravity, object_position,
     object_quaternion, goal_quaternion, goal_rotation and goal_angular_velocity may be added."""
+    history: tuple[int, ...] = ()
+    """What the policy observed so many control steps ago is observed beside it: 1 4, say."""
     critic_parts: tuple[str, ...] = ()
     """What the critics observe beside it, without noise: any of these parts, and object_velocity,
     fingertip_force (net force of each on the object) and drawn (what randomisation drew for the
@@ -51,6 +54,7 @@ class EnvConfig:
         check_numbers(self, positive=("max_speed", "max_lead"))
         check_whole(self, episode_steps=1)
         check_parts(self.parts)
+        check_steps(self.history)
         seen = (*self.parts, *self.critic_parts)
         check_parts([name for name in seen if name not in TRUTH])
         check_names(seen)

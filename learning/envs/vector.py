@@ -19,6 +19,7 @@ from dexctl.sim.simulation import Simulation
 from dexctl.state import Bools, Floats, GraspState
 from learning.envs.action import SetPointAction, check_action
 from learning.envs.config import EnvConfig
+from learning.envs.history import History
 from learning.envs.observation import Observation
 from learning.envs.rendering import RENDER_MODES, Renderer
 from learning.envs.task import Step
@@ -49,7 +50,9 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         config, hand: as given.
         simulation, task: what is simulated, and what for.
         observation, action: how the policy's observations and set-points are made.
-        observations: the policy's, and where there is any, what only critics see.
+        history: the policy's observations of the last control steps.
+        observations: what an observation is made of: the policy's, the same for each step of its
+            history, and where there is any, what only critics see.
         groups: the columns of an observation that the "policy" and the "critic" see.
         objects: name of the object in each environment.
         diverged_count: simulations that broke down so far. Their episodes end (terminated) with
@@ -115,12 +118,15 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
             "more": truth_parts(self.simulation),
         }
         self.observation = Observation(self.hand, config.parts, **options)
-        seen = [self.observation]
+        self.history = History(self.observation.size, config.history)
+        seen = [self.observation] * (1 + len(config.history))
+        self._critics = None
         if config.critic_parts:
-            seen.append(Observation(self.hand, config.critic_parts, **options))
+            self._critics = Observation(self.hand, config.critic_parts, **options)
+            seen.append(self._critics)
         self.observations = tuple(seen)
         size = sum(one.size for one in seen)
-        self.groups = {"policy": slice(0, self.observation.size), "critic": slice(0, size)}
+        self.groups = {"policy": slice(0, self.history.size), "critic": slice(0, size)}
         self.single_observation_space = gymnasium.spaces.Box(
             np.concatenate([one.low for one in seen]),
             np.concatenate([one.high for one in seen]),
@@ -163,7 +169,7 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         chosen = checks.mask(mask, (self.num_envs,))
         self.simulation.reset(seed, chosen)
         self._begun(chosen)
-        return self._observe(), {}
+        return self._observe(chosen), {}
 
     def step(
         self, actions: ArrayLike
@@ -210,7 +216,7 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         if self._autoreset and done.any():
             simulation.reset(None, done)
             self._begun(done)
-            observations = np.where(done[:, None], self._observe(), observations)
+            observations = np.where(done[:, None], self._observe(done), observations)
         if self.render_mode == "human":
             self.render()
         return observations, found.reward, terminated, truncated, info
@@ -240,14 +246,25 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
             Observations ``(N, k)``.
         """
         self.simulation.place(states, index)
-        self._begun(np.ones(self.num_envs, bool))
-        return self._observe()
+        chosen = np.ones(self.num_envs, bool)
+        self._begun(chosen)
+        return self._observe(chosen)
 
-    def _observe(self) -> NDArray[np.float32]:
-        """What the policy's sensors tell and, for critics, how things are."""
+    def _observe(self, begun: Bools | None = None) -> NDArray[np.float32]:
+        """What the policy's sensors tell and told and, for critics, how things are.
+
+        Args:
+            begun: where an episode begins, ``(N,)``; None: a control step has been made.
+        """
         seen = self.observation(self.task.with_goal(self.simulation.read()))
-        more = [one(self.state) for one in self.observations[1:]]
-        return np.concatenate([seen, *more], axis=-1) if more else seen
+        if begun is None:
+            self.history.add(seen)
+        else:
+            self.history.begin(seen, begun)
+        seen = self.history.look()
+        if self._critics is None:
+            return seen
+        return np.concatenate([seen, self._critics(self.state)], axis=-1)
 
     def save(self) -> dict[str, Any]:
         """All that decides the future, as arrays and plain values, to be given to `restore`."""
@@ -256,6 +273,7 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
             "task": self.task.save(),
             "length": self._length.copy(),
             "returns": self._returns.copy(),
+            "history": self.history.save(),
             "diverged_count": self.diverged_count,
         }
 
@@ -268,6 +286,7 @@ class ManipulationVectorEnv(gymnasium.vector.VectorEnv):
         self.simulation.restore(saved["simulation"])
         self.task.restore(saved["task"])
         self._length, self._returns = saved["length"].copy(), saved["returns"].copy()
+        self.history.restore(saved["history"])
         self.diverged_count = saved["diverged_count"]
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

@@ -110,6 +110,8 @@ def open_critic(subject: Subject) -> tuple[Critic | None, str | None]:
         return None, "A policy has no critic: p_psi needs the run folder, with its checkpoint."
     if folder.config().algorithm == "ppo":
         return None, "The run's algorithm, ppo, has no critic of actions, so there is no p_psi."
+    if folder.config().env.history:
+        return None, "The run's critic observes what was before, too, so there is no p_psi."
     if not folder.checkpoint_path.exists():
         name = folder.checkpoint_path.name
         return None, f"The run has no {name}, so there is no critic and no p_psi."

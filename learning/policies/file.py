@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike
 import dexctl
 from dexctl.exceptions import InvalidInput
 from dexctl.files import aside, write_text
+from learning.envs.history import check_steps
 from learning.envs.observation import VERSION
 from learning.policies.policy import Layer, PolicySpec, check_layers
 
@@ -131,7 +132,7 @@ def read(path: Path) -> Stored:
     except InvalidInput as error:
         raise InvalidInput(f"policy {str(path)!r}: {error}") from None
     spec = card["spec"]
-    names = {name: tuple(spec[name]) for name in ("joint_names", "fingertip_names")}
+    names = {name: tuple(spec[name]) for name in ("joint_names", "fingertip_names", "history")}
     return Stored(layers, PolicySpec(**{**spec, **names}), card)
 
 
@@ -208,7 +209,10 @@ def _check_card(card: Any) -> None:
         raise InvalidInput(f"it has format {short(card['format'])}; expected {FORMAT}")
     _check_keys(card, "card", ("spec", "layers"), also=True)
     spec = card["spec"]
+    if isinstance(spec, dict):
+        spec.setdefault("history", [])  # older files do not say that there is none
     _check_keys(spec, "spec", PolicySpec._fields)
+    _expect(_is_steps(spec["history"]), "history", spec["history"], "a list of control steps")
     _expect(_is_name(spec["hand"], 4096), "hand", spec["hand"], "a name, or a file")
     _expect(_is_name(spec["activation"]), "activation", spec["activation"], "a name")
     for key in ("joint_names", "fingertip_names"):
@@ -250,6 +254,13 @@ def _is_name(value: Any, longest: int = 200) -> bool:
 
 def _is_names(value: Any) -> bool:
     return isinstance(value, list) and len(value) > 0 and all(map(_is_name, value))
+
+
+def _is_steps(value: Any) -> bool:
+    try:
+        return isinstance(value, list) and len(check_steps(value)) == len(value)
+    except InvalidInput:
+        return False
 
 
 def _is_number(value: Any) -> bool:

@@ -7,14 +7,16 @@ from dataclasses import replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dexctl.controller import Controller, check_action, check_state
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
+from dexctl.saved import batch_shape, check_names, fill
 from dexctl.state import Floats, GraspState
-from dexctl.validation import check_vector, unit_quaternion
+from dexctl.validation import check_mask, check_vector, unit_quaternion
 from learning.envs.action import SetPointAction
+from learning.envs.history import History
 from learning.envs.observation import ORIENTATIONS, TURNING, Observation, check_parts
 
 
@@ -56,6 +58,8 @@ class PolicySpec(NamedTuple):
         observation: see `learning.envs.Observation.to_dict`.
         action: see `learning.envs.SetPointAction.to_dict`.
         activation: between the layers; behind the last one is tanh.
+        history: how many control steps ago the observations were that are observed beside the one
+            of now, see `learning.envs.history`.
     """
 
     hand: str
@@ -64,6 +68,7 @@ class PolicySpec(NamedTuple):
     observation: Mapping[str, Any]
     action: Mapping[str, Any]
     activation: str = "relu"
+    history: tuple[int, ...] = ()
 
     @classmethod
     def of(
@@ -73,6 +78,7 @@ class PolicySpec(NamedTuple):
         action: SetPointAction,
         name: str,
         activation: str = "relu",
+        history: tuple[int, ...] = (),
     ) -> PolicySpec:
         """The specification of a policy that is trained with the hand of this name."""
         return cls(
@@ -82,6 +88,7 @@ class PolicySpec(NamedTuple):
             observation.to_dict(),
             action.to_dict(),
             activation,
+            history,
         )
 
     def check_hand(self, hand: HandModel) -> None:
@@ -123,7 +130,8 @@ def other_hand(policy: Policy) -> str | None:
 class Policy(Controller):
     """A trained policy, deterministic: tanh of a multilayer perceptron of the observation.
 
-    It observes the state that it is given as it is, so that it runs on any plant.
+    It observes the state that it is given as it is, so that it runs on any plant; and, where it was
+    trained so, what it has observed some control steps before.
 
     Args:
         hand: the hand, the same as in training.
@@ -161,7 +169,9 @@ class Policy(Controller):
         self.card = dict(card or {})
         self.observation = Observation.from_dict(hand, spec.observation)
         self.action = SetPointAction(hand, **spec.action)
-        self.layers = check_layers(layers, self.observation.size, hand.nq)
+        self.history = History(self.observation.size, spec.history)
+        self.layers = check_layers(layers, self.history.size, hand.nq)
+        self._fresh = np.ones(0, bool)  # whose history begins with the next observation
         self._activation = ACTIVATIONS[spec.activation]
         self._wanted = {
             "goal_quaternion": None if goal is None else unit_quaternion("goal", goal),
@@ -182,16 +192,54 @@ class Policy(Controller):
             )
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
-        """Nothing to forget: the policy has no memory."""
+        """Forget what was observed before; a policy without a history has nothing to forget."""
+        if mask is None or not len(self.history):
+            self.history.clear()
+        else:
+            self._fresh |= check_mask(mask, self._fresh.shape)
 
     def state_dict(self) -> dict[str, Any]:
-        return self._signed()
+        if not self.history.steps:
+            return self._signed()
+        return self._signed(history={"seen": self.history.save(), "fresh": self._fresh.copy()})
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        self._parts(saved)
+        if not self.history.steps:
+            self._parts(saved)
+            return
+        own, kept = type(self).__name__, self._parts(saved, "history")["history"]
+        check_names(own, kept, ("seen", "fresh"))
+        (count,) = batch_shape(own, kept, "fresh") or (0,)
+        fresh = np.zeros(count, bool)
+        fill(own, {"fresh": fresh}, kept)
+        if len(kept["seen"]) != count:
+            raise InvalidInput(
+                f"the saved state of {own} has {len(kept['seen'])} histories; expected {count}"
+            )
+        self.history.restore(kept["seen"])
+        self._fresh = fresh
+
+    def _seen(self, state: GraspState) -> NDArray[np.float32]:
+        """What is observed, with what was; ``(..., k)``."""
+        seen = self.observation(state)
+        if not self.history.steps:
+            return seen
+        rows = seen.reshape(-1, self.observation.size)
+        if not len(self.history):
+            self._fresh = np.ones(len(rows), bool)
+        elif len(rows) != len(self._fresh):
+            raise InvalidInput(
+                f"{len(self._fresh)} hands are remembered and the state has {len(rows)}; call "
+                "reset() before the batch shape changes"
+            )
+        else:
+            self.history.add(rows)
+        self.history.begin(rows, self._fresh)
+        self._fresh = np.zeros_like(self._fresh)
+        return self.history.look().reshape(*state.batch_shape, -1)
 
     def predict(self, observation: ArrayLike) -> Floats:
-        """The action ``(..., d)`` in [-1, 1] for observations ``(..., k)``."""
+        """The action ``(..., d)`` in [-1, 1] for observations ``(..., k)``, history and all."""
         x = np.asarray(observation, float)
         for i, layer in enumerate(self.layers):
             x = x @ layer.weight.T + layer.bias
@@ -206,7 +254,7 @@ class Policy(Controller):
             if value is not None and getattr(state, name) is None
         }
         state = replace(state, **told) if told else state
-        action = self.predict(self.observation(state))
+        action = self.predict(self._seen(state))
         self._diagnostics = {"action": action}
         return check_action(self.action.limited(state, self.action.to_change(action)))
 

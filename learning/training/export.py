@@ -26,8 +26,9 @@ def export_policy(
 ) -> None:
     """Write the algorithm's policy and its card."""
     spec = PolicySpec.of(
-        env.hand, env.observation, env.action, config.env.scene.hand, algorithm.activation
-    )
+        env.hand, env.observation, env.action, config.env.scene.hand, algorithm.activation,
+        env.history.steps,
+    )  # fmt: skip
     card = {
         "trained": to_plain(config),
         "hand": identity(env.hand),

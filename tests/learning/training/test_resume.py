@@ -116,9 +116,9 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path: Path) -> None:
 
 
 def test_killed_and_resumed_with_the_fast_recipe(tmp_path: Path) -> None:
-    """Returns of several steps, a mean of actors, and a learning rate that falls with the steps."""
+    """Returns of several steps, a mean of actors, a rate that falls with the steps, a history."""
     options = ["fast" if option == "thesis" else option for option in OPTIONS]
-    options += ["--method", "vge+bc", "--controller", "coordinated"]
+    options += ["--method", "vge+bc", "--controller", "coordinated", "--env.history", "1", "4"]
     options += ["--hard-stop", "700", "--sac.decay-start", "0.2", "--steps", "1200"]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     process = start(*options, "--out", str(killed))
