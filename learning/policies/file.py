@@ -131,7 +131,7 @@ def read(path: Path) -> Stored:
         _expect(card["layers"] == shapes, "layers", card["layers"], f"{short(shapes)}, as stored")
     except InvalidInput as error:
         raise InvalidInput(f"policy {str(path)!r}: {error}") from None
-    spec = card["spec"]
+    spec = _spec(card)
     names = {name: tuple(spec[name]) for name in ("joint_names", "fingertip_names", "history")}
     return Stored(layers, PolicySpec(**{**spec, **names}), card)
 
@@ -208,9 +208,7 @@ def _check_card(card: Any) -> None:
     if card["format"] != FORMAT:
         raise InvalidInput(f"it has format {short(card['format'])}; expected {FORMAT}")
     _check_keys(card, "card", ("spec", "layers"), also=True)
-    spec = card["spec"]
-    if isinstance(spec, dict):
-        spec.setdefault("history", [])  # older files do not say that there is none
+    spec = _spec(card)
     _check_keys(spec, "spec", PolicySpec._fields)
     _expect(_is_steps(spec["history"]), "history", spec["history"], "a list of control steps")
     _expect(_is_name(spec["hand"], 4096), "hand", spec["hand"], "a name, or a file")
@@ -230,6 +228,12 @@ def _check_card(card: Any) -> None:
     _expect(isinstance(scaled, bool), "observation scaled", scaled, "true or false")
     three = isinstance(centre, list) and len(centre) == 3 and all(map(_is_number, centre))
     _expect(three, "observation centre", centre, "three numbers")
+
+
+def _spec(card: Mapping[str, Any]) -> Any:
+    """What a card says the layers are for; older files do not say that there is no history."""
+    spec = card["spec"]
+    return {"history": [], **spec} if isinstance(spec, dict) else spec
 
 
 def _check_keys(values: Any, name: str, keys: Sequence[str], *, also: bool = False) -> None:
