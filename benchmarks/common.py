@@ -38,7 +38,8 @@ RESULTS = Path(__file__).resolve().parent / "results"
 FULL_TURN = 2 * np.pi
 PALMS = ("up", "down")
 FIXED = ("seed", "trials", "seconds")  # settings that rows of one result have in common
-_UNSAID = ("out", "resume", "picture")  # settings that a result does not tell: where it goes
+# settings that a result does not tell: where things are
+_UNSAID = ("out", "resume", "picture", "peer", "runs")
 THREADS = 2  # of the physics in the timing benchmarks
 # of in-grasp manipulation; they give the same numbers
 ENGINES = {"compiled": "compiled (extra `fast`)", "plain": "numpy only"}

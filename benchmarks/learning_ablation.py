@@ -77,88 +77,107 @@ class Options(Settings):
     """Of each."""
     seeds: int = 1
     """Trainings of each variant."""
-    variants: tuple[str, ...] = tuple(VARIANTS)
-    """Which."""
+    variants: tuple[str, ...] = ()
+    """Which; none: all."""
     jobs: int = 2
     """Trainings at once."""
     num_envs: int = 128
     """Environments of each training."""
-    runs: Path = Path("out/learning_ablation")
+    runs: Path = Path("out/ablation")
     """Folder of the trainings; those that are there are not done again, or go on."""
 
 
-def config(name: str, seed: int, given: Options) -> TrainConfig:
-    """Everything that the training of a variant is."""
-    variant, thesis = VARIANTS[name], TrainConfig()
-    return changed(
-        recipe(variant.recipe, variant.method),
-        {
-            "object": OBJECT,
-            "threads": 1,
-            "hard_stop": given.steps,
-            "controllers": ("coordinated",),
-            "steps": given.steps,
-            "num_envs": given.num_envs,
-            "seed": seed,
-            "log_every": 20_000,
-            **{path: get(thesis, path) for path in variant.usual},
-            **variant.changes,
-        },
-    )
+@dataclass(frozen=True)
+class Ablation:
+    """Trainings of several variants, side by side.
 
+    Attributes:
+        name: of the script.
+        title: of the table.
+        variants: by name.
+    """
 
-def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
-    """Train a variant, or go on; evaluate its policy."""
-    from learning.training.trainer import resume, train
+    name: str
+    title: str
+    variants: Mapping[str, Variant]
 
-    folder = given.runs / f"{name}-{seed}"
-    wanted = config(name, seed, given)
-    try:
-        if RunFolder.is_run(folder) and RunFolder(folder).config() == wanted:
-            found = resume(folder)
-        else:
-            found = train(wanted, folder)
-    except KeyboardInterrupt:  # its checkpoint is saved; the pool would give it the next training
-        os._exit(130)
-    who = open_subject(str(folder))
-    alone = evaluate(who, who.protocol(episodes=given.trials, seconds=given.seconds, threads=1))
-    return {
-        "variant": name,
-        "training_seed": seed,
-        "config": to_plain(wanted),
-        "steps": found["steps"],
-        "training_seconds": round(float(found["last"]["seconds"]), 1),
-        "rotation_rad": over_seeds(alone.rotation),
-        "full_turn": share(alone.rotation >= FULL_TURN),
-        "dropped": share(alone.dropped),
-        "return_mean": round(float(alone.returns.mean()), 2),
-    }
+    def config(self, name: str, seed: int, given: Options) -> TrainConfig:
+        """Everything that the training of a variant is."""
+        variant, thesis = self.variants[name], TrainConfig()
+        return changed(
+            recipe(variant.recipe, variant.method),
+            {
+                "object": OBJECT,
+                "threads": 1,
+                "hard_stop": given.steps,
+                "controllers": ("coordinated",),
+                "steps": given.steps,
+                "num_envs": given.num_envs,
+                "seed": seed,
+                "log_every": 20_000,
+                **{path: get(thesis, path) for path in variant.usual},
+                **variant.changes,
+            },
+        )
 
+    def measure(self, name: str, seed: int, given: Options) -> dict[str, Any]:
+        """Train a variant, or go on; evaluate its policy."""
+        from learning.training.trainer import resume, train
 
-def lines(rows: list[dict[str, Any]]) -> Iterator[list[str]]:
-    """Of the table; seeds stand beside each other."""
-    for name, variant in VARIANTS.items():
-        each = [row for row in rows if row["variant"] == name]
-        if each:
-            yield [
-                variant.title,
-                ", ".join(f"{row['rotation_rad']['median']:.1f}" for row in each),
-                ", ".join(f"{100 * row['full_turn']['share']:.0f} %" for row in each),
-                ", ".join(f"{100 * row['dropped']['share']:.0f} %" for row in each),
-                ", ".join(f"{row['return_mean']:.0f}" for row in each),
-            ]
+        folder = given.runs / f"{name}-{seed}"
+        wanted = self.config(name, seed, given)
+        try:
+            if RunFolder.is_run(folder) and RunFolder(folder).config() == wanted:
+                found = resume(folder)
+            else:
+                found = train(wanted, folder)
+        except KeyboardInterrupt:  # its checkpoint is saved; the pool would give it the next one
+            os._exit(130)
+        who = open_subject(str(folder))
+        alone = evaluate(who, who.protocol(episodes=given.trials, seconds=given.seconds, threads=1))
+        return {
+            "variant": name,
+            "training_seed": seed,
+            "config": to_plain(wanted),
+            "steps": found["steps"],
+            "training_seconds": round(float(found["last"]["seconds"]), 1),
+            "rotation_rad": over_seeds(alone.rotation),
+            "full_turn": share(alone.rotation >= FULL_TURN),
+            "dropped": share(alone.dropped),
+            "return_mean": round(float(alone.returns.mean()), 2),
+        }
 
+    def lines(self, rows: list[dict[str, Any]]) -> Iterator[list[str]]:
+        """Of the table; seeds stand beside each other."""
+        for name, variant in self.variants.items():
+            each = [row for row in rows if row["variant"] == name]
+            if each:
+                yield [
+                    variant.title,
+                    ", ".join(f"{row['rotation_rad']['median']:.1f}" for row in each),
+                    ", ".join(f"{100 * row['full_turn']['share']:.0f} %" for row in each),
+                    ", ".join(f"{100 * row['dropped']['share']:.0f} %" for row in each),
+                    ", ".join(f"{row['return_mean']:.0f}" for row in each),
+                ]
 
-def save(trials: list[dict[str, Any]], given: Options, *, say: bool) -> None:
-    """Write the result with the rows so far."""
-    seeds = ", ".join(str(given.seed + k) for k in range(given.seeds))
-    table = {
-        "title": f"The recipe `fast` with one part changed: {OBJECT}, {given.steps:,} steps, all "
-        f"guided, seed {seeds}; the policy alone in {given.trials} episodes of {given.seconds:g} s",
-        "header": ["", "rotation [rad]", "full turn", "dropped", "return"],
-        "rows": list(lines(trials)),
-    }
-    write("learning_ablation", given, [], [table], trials=trials, say=say)
+    def save(self, trials: list[dict[str, Any]], given: Options, *, say: bool) -> None:
+        """Write the result with the rows so far."""
+        seeds = ", ".join(str(given.seed + k) for k in range(given.seeds))
+        table = {
+            "title": f"{self.title}: {OBJECT}, {given.steps:,} steps, all guided, seed {seeds}; "
+            f"the policy alone in {given.trials} episodes of {given.seconds:g} s",
+            "header": ["", "rotation [rad]", "full turn", "dropped", "return"],
+            "rows": list(self.lines(trials)),
+        }
+        write(self.name, given, [], [table], trials=trials, say=say)
+
+    def run(self, given: Options) -> None:
+        """Train and evaluate those that are chosen."""
+        chosen = given.variants or tuple(self.variants)
+        measure_with_seeds(
+            self.name, given, "variant", list(self.variants), chosen, self.config, self.measure,
+            self.save, line,
+        )  # fmt: skip
 
 
 def line(row: Mapping[str, Any]) -> str:
@@ -168,10 +187,7 @@ def line(row: Mapping[str, Any]) -> str:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    measure_with_seeds(
-        "learning_ablation", given, "variant", list(VARIANTS), given.variants, config, measure,
-        save, line,
-    )  # fmt: skip
+    Ablation("learning_ablation", "The recipe `fast` with one part changed", VARIANTS).run(given)
 
 
 if __name__ == "__main__":

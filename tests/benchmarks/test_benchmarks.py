@@ -40,6 +40,10 @@ RUNS: dict[str, list[str]] = {
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
         *("--variants", "fast", "no_cloning"),
     ],
+    "feedback.py": [
+        *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
+        *("--variants", "joints", "touch_before"),
+    ],
     "starts.py": [
         *(*SHORT, "--steps", "300", "--ppo-steps", "300", "--num-envs", "4", "--tree-nodes", "60"),
         *("--tasks", "sphere_x", "--methods", "rxr_ipt"),
@@ -55,6 +59,7 @@ RUNS: dict[str, list[str]] = {
         *("--steps", "200", "--about-steps", "200", "--last-steps", "200", "--num-envs", "4"),
         *("--states-seconds", "0.5", "--episodes", "12", "--seconds", "1"),
     ],
+    "predictive_sampling.py": [*SHORT],
     "servo_hand.py": [*SHORT, "--objects", "cylinder"],
     "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
@@ -77,7 +82,7 @@ def run(script: str, *arguments: str | Path, **environment: str) -> subprocess.C
 def test_every_script_is_run_here() -> None:
     scripts = {path.name for path in FOLDER.glob("*.py")} - {
         "common.py", "readme.py", "learner_profile.py", "learning_curves.py", "sides.py",
-        "stock.py",
+        "stock.py", "judo_side.py",
     }  # fmt: skip
     assert scripts == set(RUNS)
 
@@ -89,7 +94,7 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     if script in (
         "learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py",
-        "goal_policies.py",
+        "goal_policies.py", "feedback.py",
     ):  # fmt: skip
         pytest.importorskip("torch", reason="needs the extra 'learning'")
     if script in ("learner.py", "algorithms.py"):
