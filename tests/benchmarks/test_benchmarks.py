@@ -99,7 +99,7 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
         pytest.importorskip("torch", reason="needs the extra 'learning'")
     if script in ("learner.py", "algorithms.py"):
         pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
-    if script in ("learning_ablation.py", "starts.py", "goal_policies.py"):
+    if script in ("learning_ablation.py", "feedback.py", "starts.py", "goal_policies.py"):
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]
     if script == "hands_turning.py":
         arguments += ["--folder", request.getfixturevalue("menagerie")]
@@ -110,7 +110,7 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     result = json.loads((tmp_path / f"{name}.json").read_text())
     assert result["benchmark"] == name
     assert result["machine"]["versions"]["mujoco"][0].isdigit()
-    first = {"gaits_long": 100, "conditions": 20_000, "ranges": 30_000}
+    first = {"gaits_long": 100, "predictive_sampling": 100, "conditions": 20_000, "ranges": 30_000}
     assert result["settings"]["seed"] == first.get(name, 0)
     assert result["figures"] or result["tables"]
     for table in result["tables"]:
