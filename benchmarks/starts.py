@@ -247,7 +247,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         own = {
             row["method"]: row for row in rows if row["task"] == name and row["from"] == "held out"
         }
-        if not own:
+        if len(own) < 2:  # nothing to compare yet
             continue
         best = max(own.values(), key=lambda row: row["full_turn"]["share"])
         turned, least = best["rotation_rad"]["median"], 4 if task.axis == "x" else 5
