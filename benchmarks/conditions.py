@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from common import (
     write,
 )
 
+from dexctl.settings import changed
 from dexctl.sim import SceneConfig
 from dexctl.sim.conditions import under
 from learning import policies
@@ -36,6 +38,7 @@ class Condition:
         text: for people.
         names: of `dexctl.sim.conditions.CONDITIONS`, one after the other.
         palm: which way it looks, where gravity is not drawn.
+        changes: settings of the scene beside that.
         seconds: of an episode, None for the usual time.
         every: whether it is measured with all objects, not the first two only.
         hold, speed: what is asked for, share of episodes held and mean speed [rad/s]; 0: nothing.
@@ -44,6 +47,7 @@ class Condition:
     text: str
     names: tuple[str, ...] = ()
     palm: str = "up"
+    changes: Mapping[str, Any] = field(default_factory=dict)
     seconds: float | None = None
     every: bool = False
     hold: float = 0.0
@@ -52,6 +56,9 @@ class Condition:
 
 CONDITIONS: dict[str, Condition] = {
     "up": Condition("nominal, palm up"),
+    "late": Condition(
+        "50 ms late, palm up", changes={"action_latency": 0.05}, every=True, hold=0.98, speed=0.8
+    ),
     "down": Condition("nominal, palm down", palm="down"),
     "any-gravity": Condition(
         "nominal, any way up", ("any-gravity",), every=True, hold=0.98, speed=0.8
@@ -100,6 +107,7 @@ def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any
     """One row."""
     condition = CONDITIONS[chosen]
     scene = under(SceneConfig(object=(turned,), gravity=condition.palm), *condition.names)
+    scene = changed(scene, condition.changes)
     protocol = Protocol(
         scene=replace(scene, threads=1),
         episodes=given.endurance if condition.seconds else given.trials,
