@@ -162,7 +162,7 @@ class Ablation:
 
     def save(self, trials: list[dict[str, Any]], given: Options, *, say: bool) -> None:
         """Write the result with the rows so far."""
-        seeds = ", ".join(str(given.seed + k) for k in range(given.seeds))
+        seeds = ", ".join(map(str, sorted({row["training_seed"] for row in trials})))
         table = {
             "title": f"{self.title}: {OBJECT}, {given.steps:,} steps, all guided, seed {seeds}; "
             f"the policy alone in {given.trials} episodes of {given.seconds:g} s",
