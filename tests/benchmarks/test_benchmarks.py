@@ -149,7 +149,7 @@ def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
     [
         ("in_grasp.py", "--trials 0", "num_envs is 0"),
         ("ablation.py", "--variants none", "unknown variant 'none'; known: complete, "),
-        ("conditions.py", "--conditions none", "unknown conditions 'none'; known: up, down"),
+        ("conditions.py", "--conditions none", "unknown conditions 'none'; known: up, late"),
         ("conditions.py", "--who nobody", "unknown controller 'nobody'; known: igm, "),
         ("planning.py", "--parts none", "unknown part 'none'; known: kinematic, "),
     ],
