@@ -119,7 +119,9 @@ _FEW: dict[str, Any] = {
         height_gain=1.0,
         centring_gain=1.0,
     ),
-    "switch": GuardedSwitchConfig(unloaded_force=0.3, clearance=0.012, place_speed=0.08),
+    "switch": GuardedSwitchConfig(
+        unload_time=0.2, load_time=0.1, unloaded_force=0.3, clearance=0.012, place_speed=0.08
+    ),
     "swing": 0.25,
     "least_travel": 0.16,
     "most_travel": 0.33,
@@ -127,7 +129,7 @@ _FEW: dict[str, Any] = {
     "pause": 0.05,
     "level": 0.5,
     "hold_force": 0.15,
-    "residual_limit": 0.9,
+    "residual_limit": 1.0,  # closure alone decides: a limit leaves the object waiting for good
 }
 
 

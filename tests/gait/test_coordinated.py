@@ -11,7 +11,7 @@ import pytest
 from dexctl import GraspState, HandModel
 from dexctl.exceptions import InvalidInput
 from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
-from dexctl.gait.selection import Grasps
+from dexctl.gait.selection import Grasps, choose
 from dexctl.grasp import is_force_closure
 from dexctl.hand_config import HeldObject
 from dexctl.igm import InGraspManipulationConfig
@@ -282,6 +282,30 @@ def test_landings_make_up_for_the_height_by_which_a_finger_missed_the_centre(cub
     assert gait.switch.finger.tolist() == [1, 1]
     landing = gait.switch.state_dict()["landing_tip"]
     np.testing.assert_allclose((landing - grasps.origin)[:, 2], [-0.02, 0.0], atol=1e-12)
+
+
+def test_four_fingers_do_not_wait_for_a_thumb_that_the_others_could_spare(
+    four_fingers: HandModel,
+) -> None:
+    """The grasp in which one trial in ten of a LEAP hand stood still for good."""
+    around = np.radians([-72.0, -2.0, 52.0, -150.0])
+    lever = np.stack([np.cos(around), np.sin(around), np.zeros(4)], axis=-1)
+    touch = np.ones((1, 4), bool)
+    grasps = Grasps(0.045 * lever[None], -lever[None], touch, touch, np.zeros((1, 3)))
+    # the thumb has come all the way, the others have just been put back
+    travel = np.array([[0.13, 0.07, 0.0, 0.58]])
+    few = replace(four_fingers.config, description=four_fingers.path, object=HeldObject())
+    config = CoordinatedGaitConfig.suiting(few.build())
+    found = choose(
+        grasps,
+        travel,
+        least_travel=config.least_travel,
+        residual_weight=config.residual_weight,
+        residual_limit=config.residual_limit,
+        push_friction=config.in_grasp.friction,
+        friction=config.friction,
+    )
+    assert found.found.all() and found.finger.tolist() == [3]
 
 
 def test_what_suits_a_hand(dex5: HandModel, four_fingers: HandModel) -> None:
