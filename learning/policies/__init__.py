@@ -92,7 +92,7 @@ def learned(
     if policy is None:
         own = [name for name in names() if name.startswith(f"{hand.name}-")]
         if not own:
-            known = sorted({name.rpartition("-")[0] for name in names()})
+            known = sorted({name.partition("-")[0] for name in names()})
             raise InvalidInput(
                 f"no learned policy comes with dexctl for the hand {hand.name!r}; there is "
                 f"one for {', '.join(known)}, and `dexctl train` makes others"
