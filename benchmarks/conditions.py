@@ -54,8 +54,6 @@ class Condition:
     speed: float = 0.0
 
 
-_UNIFORM = 0.029  # standard deviation of what is uniform within 0.05 rad
-
 CONDITIONS: dict[str, Condition] = {
     "up": Condition("nominal, palm up"),
     "late": Condition(
@@ -73,20 +71,6 @@ CONDITIONS: dict[str, Condition] = {
         every=True,
         hold=0.98,
         speed=0.5,
-    ),
-    "hand-drawn": Condition(
-        "as other hands are tested, palm up, 10 s",  # MuJoCo Playground's LEAP cube spin
-        changes={
-            "joint_noise": _UNIFORM,
-            "joint_offset": _UNIFORM,
-            "friction_range": (0.5, 1.0),
-            "mass_range": (0.08, 0.12),
-            "stiffness_range": (0.8, 1.2),
-            "centre_of_mass": 0.005,
-        },
-        seconds=10.0,
-        hold=0.977,
-        speed=0.94,
     ),
     "endurance": Condition(
         "everything and limits, any way up, ten minutes",
@@ -122,18 +106,15 @@ class Options(Settings):
 def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any]:
     """One row."""
     condition = CONDITIONS[chosen]
-    subject = open_subject(who)
-    scene = SceneConfig(hand=subject.hand, object=(turned,), gravity=condition.palm)
-    scene = under(scene, *condition.names)
+    scene = under(SceneConfig(object=(turned,), gravity=condition.palm), *condition.names)
     scene = changed(scene, condition.changes)
-    seconds = condition.seconds or given.seconds
     protocol = Protocol(
         scene=replace(scene, threads=1),
-        episodes=given.endurance if seconds > given.seconds else given.trials,
-        seconds=seconds,
+        episodes=given.endurance if condition.seconds else given.trials,
+        seconds=condition.seconds or given.seconds,
         seed=given.seed,
     )
-    found = evaluate(subject, protocol)
+    found = evaluate(open_subject(who), protocol)
     times, held = found.survival()
     return {
         "who": who,

@@ -42,6 +42,7 @@ HEADINGS = {
     "bus": "Servo bus",
     "hands": "Grasps of other hands",
     "hands_turning": "Other hands turn objects",
+    "hands_learned": "Policies of other hands",
     "ablation": "Parts of the coordinated gait",
     "learning_ablation": "Parts of the recipe fast",
     "feedback": "What a policy has to feel",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Callable
 
 # One thread a process for linear algebra, set before numpy is loaded: the matrices are small, and
 # pytest-xdist already keeps the cores busy.
@@ -47,19 +48,30 @@ def four_fingers(menagerie: Path) -> dexctl.HandModel:
     return dexctl.hands.load("wonik_allegro", folder=menagerie)
 
 
-@pytest.fixture(scope="session")
-def allegro() -> dexctl.HandModel:
-    """The menagerie's Allegro hand, for what is true of that hand only; skips where it is not here.
+def of_menagerie(name: str) -> dexctl.HandModel:
+    """A hand of the menagerie; skips where its files are not here.
 
-    It comes from the folder DEXCTL_MENAGERIE, else from what the package mujoco-menagerie has got
+    They come from the folder DEXCTL_MENAGERIE, else from what the package mujoco-menagerie has got
     before: no test downloads anything.
     """
     if not os.environ.get("DEXCTL_MENAGERIE"):
         package = pytest.importorskip("mujoco_menagerie", reason="no mujoco-menagerie installed")
         cache = package.Cache()
-        if cache.root is None and not cache.is_cached(package.get("wonik_allegro")):
-            pytest.skip("mujoco-menagerie has not downloaded wonik_allegro yet")
+        if cache.root is None and not cache.is_cached(package.get(name)):
+            pytest.skip(f"mujoco-menagerie has not downloaded {name} yet")
     try:
-        return dexctl.hands.load("wonik_allegro")
+        return dexctl.hands.load(name)
     except dexctl.HandModelError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def allegro() -> dexctl.HandModel:
+    """The menagerie's Allegro hand, for what is true of that hand only."""
+    return of_menagerie("wonik_allegro")
+
+
+@pytest.fixture(scope="session")
+def hand_of() -> Callable[[str], dexctl.HandModel]:
+    """Loads a hand by name; skips where its files are not here."""
+    return lambda name: dexctl.hands.load(name) if name == "dex5" else of_menagerie(name)

@@ -141,7 +141,9 @@ def test_other_parts_are_refused(tmp_path: Path, spec: PolicySpec, layers: list[
 def test_paths_that_hold_no_policy(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=r"'.*p\.npz': no such file"):
         policies.load(tmp_path / "p.npz")
-    with pytest.raises(UnknownName, match=r"dex5-touch, a policy file \(\.npz\), a run folder"):
+    with pytest.raises(
+        UnknownName, match=r"wonik_allegro-sphere, a policy file \(\.npz\), a run folder"
+    ):
         policies.load(tmp_path / "p.zip")
     with pytest.raises(InvalidInput, match=r"there is no policy\.npz in it"):
         policies.load(tmp_path)
