@@ -24,6 +24,7 @@ from dexctl.controller import Controller
 from learning import policies
 from learning.evaluation import Protocol, evaluate
 
+HAND = "dex5"
 OBJECTS = ("cylinder", "cube", "sphere", "icosahedron", "dodecahedron")
 COMPARED = ("igm", "gait", "coordinated")
 TITLES = {
@@ -117,9 +118,10 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    hand = dexctl.hands.load("dex5")
+    hand = dexctl.hands.load(HAND)
     who = {name: (lambda name=name: controllers.make(name, hand)) for name in COMPARED}
-    who |= {name: (lambda name=name: policies.load(name)) for name in policies.names()}
+    own = [name for name in policies.names() if name.startswith(f"{HAND}-")]
+    who |= {name: (lambda name=name: policies.load(name)) for name in own}
     rows = earlier("learned", given)
     done = {(row["who"], row["object"]) for row in rows}
     for turned in given.objects:

@@ -36,7 +36,7 @@ RUNS: dict[str, list[str]] = {
     "learner.py": [
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
     ],
-    "learned.py": [*SHORT, "--objects", "cylinder"],
+    "learned.py": [*SHORT, "--objects", "cylinder", "sphere"],
     "learning_ablation.py": [
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
         *("--variants", "fast", "no_cloning"),
