@@ -83,7 +83,7 @@ class Options(Settings):
     """Episodes for each object."""
     seconds: float = 60.0
     """Of each, but where all is drawn: 10 s."""
-    who: tuple[str, ...] = tuple(name for name in policies.names() if name[:5] != "dex5-")
+    who: tuple[str, ...] = tuple(sorted({*policies.names()} - {*policies.names("dex5")}))
     """Policies, by name or file."""
     conditions: tuple[str, ...] = tuple(CONDITIONS)
     """Which."""
@@ -173,17 +173,18 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 def main() -> None:
     given = settings(Options, __doc__)
     check_chosen("conditions", given.conditions, CONDITIONS)
-    rows = earlier("hands_learned", given)
-    done = {(row["policy"], row.get("who"), row.get("condition")) for row in rows}
+    # a hand that was missing may be here now
+    rows = [row for row in earlier("hands_learned", given) if "missing" not in row]
+    done = {(row["policy"], row["who"], row["condition"]) for row in rows}
     for name in given.who:
         try:
             policy = open_subject(name)
         except InvalidInput as error:
             if not isinstance(error.__context__, HandModelError):
                 raise
-            progress(f"not here: {error}")
-            if not any(key[0] == name for key in done):
-                rows.append({"policy": name, "missing": f"not here: {error}"})
+            missing = f"not here: {error.__context__}"
+            progress(f"{name}: {missing}")
+            rows.append({"policy": name, "missing": missing})
             continue
         guides = [open_subject(guide, hand=policy.hand) for guide in policy.guides]
         for chosen, who in product(given.conditions, (policy, *guides)):

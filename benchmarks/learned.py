@@ -67,7 +67,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     """Lines of README's table."""
     by = {(row["who"], row["object"]): row for row in rows}
     found = []
-    for name in policies.names():
+    for name in policies.names(HAND):
         for turned in ("cylinder", "cube") if name.endswith("-easy") else (name.split("-")[1],):
             row = by.get((name, turned))
             guide = by.get(("coordinated", turned))
@@ -120,8 +120,7 @@ def main() -> None:
     given = settings(Options, __doc__)
     hand = dexctl.hands.load(HAND)
     who = {name: (lambda name=name: controllers.make(name, hand)) for name in COMPARED}
-    own = [name for name in policies.names() if name.startswith(f"{HAND}-")]
-    who |= {name: (lambda name=name: policies.load(name)) for name in own}
+    who |= {name: (lambda name=name: policies.load(name)) for name in policies.names(HAND)}
     rows = earlier("learned", given)
     done = {(row["who"], row["object"]) for row in rows}
     for turned in given.objects:

@@ -28,9 +28,10 @@ IN_RUN = "policy.npz"
 """Name of the policy in a run folder."""
 
 
-def names() -> tuple[str, ...]:
-    """The policies that come with the package: HAND-OBJECT, or HAND-easy for several objects."""
-    return tuple(sorted(path.stem for path in FOLDER.glob("*.npz")))
+def names(hand: str | None = None) -> tuple[str, ...]:
+    """The policies that come with the package, HAND-WHAT: of the hand of that name, or all."""
+    found = sorted(path.stem for path in FOLDER.glob("*.npz"))
+    return tuple(name for name in found if hand in (None, name.partition("-")[0]))
 
 
 def load(
@@ -90,7 +91,7 @@ def learned(
         UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.
     """
     if policy is None:
-        own = [name for name in names() if name.startswith(f"{hand.name}-")]
+        own = list(names(hand.name))
         if not own:
             known = sorted({name.partition("-")[0] for name in names()})
             raise InvalidInput(
