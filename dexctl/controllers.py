@@ -7,7 +7,7 @@ returns the `Controller`. One that names a keyword ``axis`` can be told about wh
 object; any other turns about z. It is loaded when it is made, not before.
 
 A controller that needs a file, or another controller, has it after its name:
-``planned:tree.npz``, ``steered:goal``, ``sequence:dex5-cube,dex5-cube-x``.
+``planned:tree.npz``, ``steered:goal``, ``sequence:dex5-cube-z,dex5-cube-x``.
 """
 
 from __future__ import annotations
@@ -154,6 +154,16 @@ _CONTROLLERS = {
             others=True,
         ),
         ControllerEntry(
+            name="commanded",
+            title="turning as commanded",
+            description="turns about any axis told, by commanded:NAME,... made for one axis each",
+            module="dexctl.controllers",
+            attribute="commanded",
+            keyword="turners",
+            wanted="NAME,...",
+            others=True,
+        ),
+        ControllerEntry(
             name="planned",
             title="planned gait",
             description="follows a tree of grasps, planned:FILE, that dexctl plan has grown",
@@ -275,8 +285,8 @@ def make(
         control_period: time between two calls of ``act`` [s]; None: what the controller's class
             takes by itself, such as the one that a policy was trained with.
         axis: hand frame, ``(3,)``, about which the object is to be turned, at the speed that the
-            controller's settings have; None keeps their axis, which is z by default. A trained
-            policy keeps the axis that it was trained with, unless that was commands.
+            controller's settings have; None keeps their axis, which is z by default, and a trained
+            policy's own, which other axes have to be images of (`learning.policies.load`).
         **options: what else the controller's class takes, settings among it.
 
     Raises:
@@ -338,7 +348,7 @@ def resolve(
         hand: the hand.
         control_period: time between two calls of ``act`` [s]; None: what the controller's class
             takes by itself, and a policy what it was trained with.
-        axis: see `make`. A policy that was not trained with commands turns about its own.
+        axis: see `make`.
 
     Raises:
         UnknownName: it is none of these.
@@ -418,6 +428,31 @@ def sequence(
     return GoalSequence(
         hand, about=about, across=across, control_period=about.control_period, **changes
     )
+
+
+def commanded(
+    hand: HandModel,
+    *,
+    turners: str,
+    control_period: float | None = None,
+    axis: tuple[float, float, float] | None = None,
+) -> Controller:
+    """The controller of the name "commanded": a `dexctl.gait.CommandedTurning` of other ones.
+
+    Args:
+        hand: the hand.
+        turners: who turns, each about an axis of its own, as `resolve` takes them, with commas
+            between.
+        control_period: of all.
+        axis: told where a state tells none; None: the first turner's.
+
+    Raises:
+        UnknownName, InvalidInput: no such controllers, or one that turns about no axis.
+    """
+    from dexctl.gait import CommandedTurning
+
+    made = [resolve(name, hand, control_period=control_period) for name in _several(turners)]
+    return CommandedTurning(hand, made, axis=axis)
 
 
 def other_object(name: str, controller: Controller, objects: Sequence[str]) -> str | None:

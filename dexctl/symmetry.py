@@ -1,4 +1,4 @@
-"""Symmetries of a hand: turns that bring it to itself, with its fingers in other places.
+"""Symmetries of a hand: turns and mirror images of it that are the hand itself, fingers swapped.
 
 Found from its kinematics. Whether the shapes of its links follow them is not looked at.
 """
@@ -6,6 +6,7 @@ Found from its kinematics. Whether the shapes of its links follow them is not lo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import permutations, product
 
 import numpy as np
@@ -20,23 +21,44 @@ _MOST_FINGERS = 6  # the ways to place them are tried one by one
 _SAMPLES = 6
 
 
+_MIRROR = np.diag([1.0, -1.0, 1.0])  # of an object's body, where the hand is mirrored
+
+
 @dataclass(frozen=True, eq=False)
 class HandSymmetry:
-    """A turn about the hand frame's origin that brings the hand to itself.
+    """A turn about the hand frame's origin, or a mirror image, that brings the hand to itself.
+
+    In a mirror image everything turns the other way round, so a controller that turns an object
+    about z turns it about -z there. The object's own image is taken in the xz plane of its body,
+    which for shapes that are equal to it (`dexctl.sim.Shape.is_mirrored`) is the same object.
 
     Attributes:
-        rotation: ``(3, 3)``.
-        quaternion: the same, wxyz ``(4,)``.
+        matrix: orthogonal, ``(3, 3)``; its determinant is 1 for a turn and -1 for a mirror image.
         fingers: finger i comes to where finger ``fingers[i]`` is, ``(m,)``.
         joints: joint j's value becomes that of joint ``joints[j]``, ``(d,)``, ...
         signs: ... times 1 or -1, ``(d,)``.
     """
 
-    rotation: Floats
-    quaternion: Floats
+    matrix: Floats
     fingers: NDArray[np.intp]
     joints: NDArray[np.intp]
     signs: Floats
+
+    @cached_property
+    def mirrors(self) -> bool:
+        """Whether it is a mirror image."""
+        return bool(np.linalg.det(self.matrix) < 0)
+
+    @cached_property
+    def inverse(self) -> HandSymmetry:
+        """What undoes it."""
+        back = np.argsort(self.joints)
+        return HandSymmetry(self.matrix.T, np.argsort(self.fingers), back, self.signs[back])
+
+    @cached_property
+    def _quaternion(self) -> Floats:
+        """Of the turn, which of a mirror image is what comes behind the object's own one."""
+        return _quaternion(self.matrix @ _MIRROR if self.mirrors else self.matrix)
 
     def of_joints(self, values: Floats) -> Floats:
         """Joint positions, set-points or their changes ``(..., d)``, turned."""
@@ -52,7 +74,11 @@ class HandSymmetry:
 
     def of_vectors(self, values: Floats) -> Floats:
         """Vectors or points of the hand frame ``(..., 3)``, turned."""
-        return values @ self.rotation.T
+        return values @ self.matrix.T
+
+    def of_turnings(self, values: Floats) -> Floats:
+        """Angular velocities, rotation vectors or axes to turn about ``(..., 3)``, turned."""
+        return -self.of_vectors(values) if self.mirrors else self.of_vectors(values)
 
     def of_points(self, values: Floats) -> Floats:
         """A vector or point for each finger, ``(..., m, 3)``, turned."""
@@ -61,8 +87,10 @@ class HandSymmetry:
         return found
 
     def of_orientations(self, values: Floats) -> Floats:
-        """Orientations wxyz ``(..., 4)``, turned."""
-        return multiply(np.broadcast_to(self.quaternion, values.shape), values)
+        """Orientations of an object, wxyz ``(..., 4)``, turned."""
+        if self.mirrors:
+            values = values * np.array([1.0, -1.0, 1.0, -1.0])  # between two images in its xz plane
+        return multiply(np.broadcast_to(self._quaternion, values.shape), values)
 
     def of_state(self, state: GraspState) -> GraspState:
         """The state in which the same happens, turned."""
@@ -75,7 +103,8 @@ class HandSymmetry:
             "contact_force": self.of_fingers(state.contact_force),
         }
         for names, turn in (
-            (("object_position", "gravity", "goal_angular_velocity"), self.of_vectors),
+            (("object_position", "gravity"), self.of_vectors),
+            (("goal_angular_velocity",), self.of_turnings),
             (("object_quaternion", "goal_quaternion"), self.of_orientations),
         ):
             for name in names:
@@ -86,20 +115,18 @@ class HandSymmetry:
 
 
 def symmetries(hand: HandModel) -> tuple[HandSymmetry, ...]:
-    """All turns about the hand frame's origin that bring the hand to itself, the identity first.
+    """All that bring the hand to itself: the identity, then other turns, then mirror images.
 
     Every way to place the fingers is tried, with every choice of which joints of a finger change
-    their sign; it is one where a turn (by least squares; Kabsch 1976) takes the fingertips of
-    random configurations to those of the configurations that belong to them, and the joints' limits
-    go along. Hands whose fingers share joints, have different numbers of them, or are more than six
-    have the identity only.
+    their sign; it is one where an orthogonal matrix (by least squares; Kabsch 1976) takes the
+    fingertips of random configurations to those of the configurations that belong to them, and the
+    joints' limits go along. Hands whose fingers share joints, have different numbers of them, or
+    are more than six have the identity only.
     """
     joints = hand.finger_joints
     m, n = joints.shape
     own = hand.moves.sum(axis=1)
-    identity = HandSymmetry(
-        np.eye(3), np.array([1.0, 0, 0, 0]), np.arange(m), np.arange(hand.nq), np.ones(hand.nq)
-    )
+    identity = HandSymmetry(np.eye(3), np.arange(m), np.arange(hand.nq), np.ones(hand.nq))
     if hand.shares_joints or (own != n).any() or m > _MOST_FINGERS:
         return (identity,)
     q = random_configurations(hand, _SAMPLES, 0)
@@ -111,15 +138,30 @@ def symmetries(hand: HandModel) -> tuple[HandSymmetry, ...]:
             places, signs = np.empty(hand.nq, np.intp), np.empty(hand.nq)
             places[joints] = joints[fingers]
             signs[joints] = chosen
-            one = HandSymmetry(identity.rotation, identity.quaternion, fingers, places, signs)
+            one = HandSymmetry(identity.matrix, fingers, places, signs)
             if not _limits_fit(hand, one):
                 continue
             there = hand.fingertip_positions(one.of_joints(q))[:, fingers]
-            rotation = _turn(tips.reshape(-1, 3), there.reshape(-1, 3))
-            if np.abs(tips @ rotation.T - there).max() < _TOLERANCE:
-                found.append(replace(one, rotation=rotation, quaternion=_quaternion(rotation)))
+            for matrix in _nearest(tips.reshape(-1, 3), there.reshape(-1, 3)):
+                if np.abs(tips @ matrix.T - there).max() < _TOLERANCE:
+                    found.append(replace(one, matrix=matrix))
+                    break
     # the identity comes with the first order; what else leaves every fingertip in place is none
-    return (identity, *(one for one in found if (one.fingers != identity.fingers).any()))
+    others = [one for one in found if (one.fingers != identity.fingers).any()]
+    return (identity, *sorted(others, key=lambda one: one.mirrors))
+
+
+def turned_to(hand: HandModel, axis: Floats, wanted: Floats) -> HandSymmetry | None:
+    """The symmetry that makes of turning about ``axis`` turning about ``wanted``; None: no such.
+
+    Args:
+        hand: the hand.
+        axis, wanted: unit vectors ``(3,)`` of the hand frame.
+    """
+    for one in symmetries(hand):
+        if np.abs(one.of_turnings(axis) - wanted).max() < _TOLERANCE:
+            return one
+    return None
 
 
 def _limits_fit(hand: HandModel, one: HandSymmetry) -> bool:
@@ -127,11 +169,11 @@ def _limits_fit(hand: HandModel, one: HandSymmetry) -> bool:
     return bool(np.allclose(ends, [hand.lower, hand.upper], rtol=0, atol=_TOLERANCE))
 
 
-def _turn(points: Floats, there: Floats) -> Floats:
-    """The rotation ``(3, 3)`` that takes points ``(k, 3)`` nearest to where they are to be."""
+def _nearest(points: Floats, there: Floats) -> tuple[Floats, Floats]:
+    """The turn and the mirror image ``(3, 3)`` that take points ``(k, 3)`` nearest to others."""
     left, _, right = np.linalg.svd(there.T @ points)
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return left @ flip @ right
+    one, other = left @ right, left @ np.diag([1.0, 1.0, -1.0]) @ right
+    return (one, other) if np.linalg.det(one) > 0 else (other, one)
 
 
 def _quaternion(rotation: Floats) -> Floats:

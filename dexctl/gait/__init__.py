@@ -1,5 +1,6 @@
 """Finger gaiting: in-grasp manipulation and contact switching superposed, at random or by plan."""
 
+from dexctl.gait.commanded import CommandedTurning
 from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitChanges, CoordinatedGaitConfig
 from dexctl.gait.goal import GoalGait, GoalGaitChanges, GoalGaitConfig
 from dexctl.gait.macro import Macro, MacroConfig
@@ -8,6 +9,7 @@ from dexctl.gait.steering import GoalSteering, GoalSteeringChanges, GoalSteering
 from dexctl.gait.thesis import FingerGaiting, FingerGaitingChanges, FingerGaitingConfig
 
 __all__ = [
+    "CommandedTurning",
     "CoordinatedGait",
     "CoordinatedGaitChanges",
     "CoordinatedGaitConfig",

@@ -220,6 +220,10 @@ class _Box(_Hull):
         return _Box(self.vertices * factor)
 
 
+_SAMPLES = 200  # points that tell whether two shapes are the same, ...
+_SAME = 1e-3  # ... when they are so near to its surface, as a share of its radius
+
+
 @dataclass(frozen=True)
 class Shape:
     """What an object is made of: convex parts, each with its centre in the object's frame."""
@@ -245,6 +249,12 @@ class Shape:
     def radius(self) -> float:
         """Of a ball about the origin that holds it [m]."""
         return max(float(np.linalg.norm(centre)) + part.extent for part, centre in self.parts)
+
+    @cached_property
+    def is_mirrored(self) -> bool:
+        """Whether it is its own mirror image in its xz plane."""
+        points = self.samples(_SAMPLES)[0] * np.array([1.0, -1.0, 1.0])
+        return bool(np.abs(self.distance(points)).max() < _SAME * self.radius)
 
     def distance(self, points: Floats) -> Floats:
         """Signed distances ``(...)`` of points ``(..., 3)`` [m], negative inside.

@@ -7,6 +7,7 @@ networks, 2020.)
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,11 +36,12 @@ def _rotations(one: HandSymmetry, values: Floats) -> Floats:
     """Of the first two columns of rotation matrices, ``(B, 6)``."""
     x, y = values[:, :3], values[:, 3:]
     matrix = np.stack([x, y, cross(x, y)], axis=-1)
-    return (one.rotation @ matrix @ one.rotation.T)[..., :2].swapaxes(1, 2).reshape(-1, 6)
+    return (one.matrix @ matrix @ one.matrix.T)[..., :2].swapaxes(1, 2).reshape(-1, 6)
 
 
 def _velocities(one: HandSymmetry, values: Floats) -> Floats:
-    return one.of_vectors(values.reshape(-1, 2, 3)).reshape(values.shape)
+    linear, angular = one.of_vectors(values[:, :3]), one.of_turnings(values[:, 3:])
+    return np.concatenate([linear, angular], axis=1)
 
 
 _TURNED: dict[str, Turned] = {
@@ -54,10 +56,24 @@ _TURNED: dict[str, Turned] = {
     "gravity": HandSymmetry.of_vectors,
     "goal_quaternion": _orientations,
     "goal_rotation": _rotations,
-    "goal_angular_velocity": HandSymmetry.of_vectors,
+    "goal_angular_velocity": HandSymmetry.of_turnings,
     OBJECT_VELOCITY: _velocities,
     FINGERTIP_FORCE: _points,
 }
+
+
+class Fixed(NamedTuple):
+    """What a symmetry has to leave as it is.
+
+    Attributes:
+        directions: of the hand frame, such as gravity's, each ``(3,)``.
+        axes: to turn about, which are always the same, each ``(3,)``.
+        mirrored: whether the objects are their own mirror images in the xz planes of their bodies.
+    """
+
+    directions: Sequence[Floats]
+    axes: Sequence[Floats] = ()
+    mirrored: bool = True
 
 
 class Symmetry:
@@ -66,8 +82,8 @@ class Symmetry:
     Args:
         hand: the hand.
         observations: the policy's and, behind it, the critics'.
-        fixed: directions ``(k, 3)`` that decide what is worth what and that no part tells: gravity,
-            an axis that is always the same. Only symmetries that leave them are taken.
+        fixed: what decides what is worth what, and no part tells; only symmetries that leave it as
+            it is are taken.
 
     Attributes:
         elements: the symmetries, the identity first.
@@ -76,13 +92,15 @@ class Symmetry:
         InvalidInput: the hand has none that can be used, or a part cannot be turned.
     """
 
-    def __init__(self, hand: HandModel, observations: Sequence[Observation], fixed: Floats) -> None:
-        centres = np.array([one.centre for one in observations])
+    def __init__(self, hand: HandModel, observations: Sequence[Observation], fixed: Fixed) -> None:
+        points = np.array([*fixed.directions, *(one.centre for one in observations)])
+        axes = np.array(fixed.axes).reshape(-1, 3)
         self.elements = tuple(
             one
             for one in symmetries(hand)
-            if np.abs(one.of_vectors(fixed) - fixed).max(initial=0.0) < _TOLERANCE
-            and np.abs(one.of_vectors(centres) - centres).max() < _TOLERANCE
+            if np.abs(one.of_vectors(points) - points).max() < _TOLERANCE
+            and np.abs(one.of_turnings(axes) - axes).max(initial=0.0) < _TOLERANCE
+            and (fixed.mirrored or not one.mirrors)
         )
         if len(self.elements) < 2:
             raise InvalidInput(

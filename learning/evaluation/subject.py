@@ -96,7 +96,8 @@ class Subject:
         """Who acts in a protocol: a controller made for its hand, axis and control period.
 
         Raises:
-            InvalidInput: a policy for another hand, or trained with another control period.
+            InvalidInput: a policy for another hand, for an axis that cannot be turned to this one,
+                or trained with another control period.
         """
         scene = protocol.scene
         if isinstance(self.controller, Policy):
@@ -108,7 +109,7 @@ class Subject:
                     raise InvalidInput(
                         f"{what} is {asked}; the policy {self.name!r} was trained with {own}"
                     )
-            return self.controller
+            return self.controller.turned_to(protocol.task.direction)
         hand = self.controller.hand if scene.hand == self.hand else hands.load(scene.hand)
         return controllers.resolve(
             self.name, hand, control_period=scene.control_period, axis=protocol.task.direction

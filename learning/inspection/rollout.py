@@ -129,7 +129,7 @@ def roll_out(
     trace, d = found.trace, acting.hand.nq
     asked = {name: trace.diagnostics[f"shadow:{name}"] for name in names}
     valued = None
-    if critic is not None and isinstance(acting, Policy):
+    if critic is not None and isinstance(acting, Policy) and acting.symmetry is None:
         changes = [acting.action.from_change(change) for change in asked.values()]
         actions = [one.reshape(-1, d) for one in (trace.diagnostics["action"], *changes)]
         judged = critic.judge(states_of(trace, found.wanted), actions)

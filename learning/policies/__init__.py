@@ -5,8 +5,9 @@ Each shipped file has its card beside it, which says what trained it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +42,7 @@ def load(
     parts: Sequence[str] | None = None,
     goal: ArrayLike | None = None,
     angular_velocity: ArrayLike | None = None,
+    axis: ArrayLike | None = None,
 ) -> Policy:
     """A policy, ready to run.
 
@@ -50,11 +52,16 @@ def load(
         hand: the hand to run it on; None loads the one that it was trained on.
         parts: refuse a policy that was trained with other observation parts than these.
         goal, angular_velocity: what is wanted where a state does not tell; see `Policy`.
+        axis: hand frame, ``(3,)``, that the object is to be turned about: at the middle of the
+            speeds of the commands that the policy was trained with, or as the hand's symmetry makes
+            it of the axis that it was trained for. On dex5, which is its own mirror image, a policy
+            for z turns as well about -z. None: the policy's own.
 
     Raises:
         UnknownName: it is none of these, or there is no hand of that name.
         InvalidInput: no such file, one that is damaged or of another format, or a policy for
-            another hand or with other observation parts.
+            another hand, with other observation parts, or for an axis that cannot be turned to
+            this one.
     """
     path = _path(name_or_path)
     layers, spec, card = read(path)
@@ -64,8 +71,10 @@ def load(
         if parts is not None:
             spec.check_parts(parts)
         model = hands.load(spec.hand) if hand is None else hand
-        wanted = {"goal": goal, "angular_velocity": angular_velocity}
-        return Policy(model, layers, spec, card, **wanted)
+        if axis is not None and angular_velocity is None and TURNING in spec.observation["parts"]:
+            angular_velocity = _commanded_speed(card) * np.array(unit_axis(axis))
+        found = Policy(model, layers, spec, card, goal=goal, angular_velocity=angular_velocity)
+        return found if axis is None else found.turned_to(axis)
     except DexctlError as error:
         raise InvalidInput(f"policy {str(path)!r}: {error}") from None
 
@@ -84,8 +93,7 @@ def learned(
         control_period: must be the one that the policy was trained with [s]; None takes it.
         policy: what `load` takes; None is the first of `names` that was trained on a hand of this
             name, one for several objects before those for single ones.
-        axis: that the object is to be turned about, ``(3,)``, at the speed of the commands that the
-            policy was trained with; one that was not trained with commands turns about its own.
+        axis: see `load`.
 
     Raises:
         UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.
@@ -100,10 +108,7 @@ def learned(
             )
         own.sort(key=lambda name: not name.endswith("-easy"))
         policy = own[0]
-    found = load(policy, hand=hand)
-    if axis is not None and TURNING in found.observation.parts:
-        spin = _commanded_speed(found) * np.array(unit_axis(axis))
-        found = load(policy, hand=hand, angular_velocity=spin)
+    found = load(policy, hand=hand, axis=axis)
     if control_period is not None and not np.isclose(control_period, found.control_period):
         raise InvalidInput(
             f"control_period is {control_period}; the policy {str(policy)!r} was trained with "
@@ -112,14 +117,14 @@ def learned(
     return found
 
 
-def _commanded_speed(policy: Policy) -> float:
+def _commanded_speed(card: Mapping[str, Any]) -> float:
     """The middle of the speeds that a policy was trained to turn at [rad/s].
 
     Raises:
         InvalidInput: its card does not say.
     """
     try:
-        low, high = policy.card["trained"]["env"]["task"]["turning"]["command_speed_range"]
+        low, high = card["trained"]["env"]["task"]["turning"]["command_speed_range"]
         return 0.5 * (float(low) + float(high))
     except (KeyError, TypeError, ValueError):
         raise InvalidInput(

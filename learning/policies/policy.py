@@ -14,7 +14,8 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, fill
 from dexctl.state import Floats, GraspState
-from dexctl.validation import check_mask, check_vector, unit_quaternion
+from dexctl.symmetry import HandSymmetry, symmetries, turned_to
+from dexctl.validation import check_mask, check_vector, shown_numbers, unit_axis, unit_quaternion
 from learning.envs.action import SetPointAction
 from learning.envs.history import History
 from learning.envs.observation import ORIENTATIONS, TURNING, Observation, check_parts
@@ -141,9 +142,11 @@ class Policy(Controller):
         goal: orientation that the object is wanted in, wxyz ``(4,)``, where a state tells none.
         angular_velocity: how the object is wanted to turn, ``(3,)`` [rad/s], where a state does not
             tell; for policies that can be told.
+        symmetry: of the hand; the policy acts as in this image of the hand, so that one for z turns
+            about -z. None: as it was trained.
 
     Attributes:
-        spec, card: as given.
+        spec, card, symmetry: as given.
         observation, action: how observations and set-point changes are made.
 
     Raises:
@@ -160,6 +163,7 @@ class Policy(Controller):
         *,
         goal: ArrayLike | None = None,
         angular_velocity: ArrayLike | None = None,
+        symmetry: HandSymmetry | None = None,
     ) -> None:
         super().__init__(hand, control_period=spec.action["control_period"])
         spec.check_hand(hand)
@@ -171,6 +175,7 @@ class Policy(Controller):
         self.action = SetPointAction(hand, **spec.action)
         self.history = History(self.observation.size, spec.history)
         self.layers = check_layers(layers, self.history.size, hand.nq)
+        self.symmetry = symmetry
         self._fresh = np.ones(0, bool)  # whose history begins with the next observation
         self._activation = ACTIVATIONS[spec.activation]
         self._wanted = {
@@ -190,6 +195,42 @@ class Policy(Controller):
                 f"{what} is {value}, and the policy, which observes "
                 f"{', '.join(self.observation.parts)}, was not trained to be told; expected None"
             )
+
+    @property
+    def axis(self) -> tuple[float, float, float] | None:
+        """About which it turns an object, hand frame; None where it is told, or nobody knows."""
+        own = _trained_axis(self.card, self.observation.parts)
+        if own is None or self.symmetry is None:
+            return own
+        return unit_axis(self.symmetry.of_turnings(np.array(own)).round(9) + 0.0)
+
+    def turned_to(self, axis: ArrayLike) -> Policy:
+        """The same policy for turning about another axis, by a symmetry of the hand.
+
+        One that is told what to turn about, or whose axis nobody knows, is as it was.
+
+        Raises:
+            InvalidInput: the hand has none that makes this axis of the policy's.
+        """
+        own, wanted = _trained_axis(self.card, self.observation.parts), unit_axis(axis)
+        if own is None or np.allclose(self.axis or own, wanted, atol=1e-6):
+            return self
+        symmetry = turned_to(self.hand, np.array(own), np.array(wanted))
+        if symmetry is None:
+            images = {
+                shown_numbers(one.of_turnings(np.array(own)).round(3) + 0.0)
+                for one in symmetries(self.hand)
+            }
+            raise InvalidInput(
+                f"axis is {shown_numbers(wanted)}; the policy was trained to turn about "
+                f"{shown_numbers(own)}, of which {self.hand.name!r}'s symmetries make "
+                + ", ".join(sorted(images))
+            )
+        return Policy(
+            self.hand, self.layers, self.spec, self.card, symmetry=symmetry,
+            goal=self._wanted["goal_quaternion"],
+            angular_velocity=self._wanted["goal_angular_velocity"],
+        )  # fmt: skip
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Forget what was observed before; a policy without a history has nothing to forget."""
@@ -253,10 +294,29 @@ class Policy(Controller):
             for name, value in self._wanted.items()
             if value is not None and getattr(state, name) is None
         }
-        state = replace(state, **told) if told else state
-        action = self.predict(self._seen(state))
+        seen = replace(state, **told) if told else state
+        if self.symmetry is None:
+            action = self.predict(self._seen(seen))
+        else:
+            image = self.symmetry.inverse.of_state(seen)
+            action = self.symmetry.of_joints(self.predict(self._seen(image)))
         self._diagnostics = {"action": action}
         return check_action(self.action.limited(state, self.action.to_change(action)))
+
+
+def _trained_axis(
+    card: Mapping[str, Any], parts: Sequence[str]
+) -> tuple[float, float, float] | None:
+    """The one axis that a policy's training was about; None: several, goals, or it does not say."""
+    try:
+        task = card["trained"]["env"]["task"]
+        turning = task.get("turning", task)  # where older cards have it
+        if TURNING not in parts:
+            return None if set(parts) & set(ORIENTATIONS) else unit_axis(turning["axis"])
+        (only,) = turning["commands"]
+        return unit_axis(only)
+    except (LookupError, TypeError, ValueError, AttributeError):
+        return None
 
 
 def check_layers(

@@ -7,10 +7,10 @@ import torch
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
-from dexctl.state import Floats
+from dexctl.sim.shapes import Shape
 from learning.algorithms import Algorithm, Cloning, make
 from learning.config import TrainConfig
-from learning.envs.symmetry import Symmetry
+from learning.envs.symmetry import Fixed, Symmetry
 from learning.envs.tasks import NO_GOALS
 from learning.envs.vector import ManipulationVectorEnv, make_vector
 from learning.exploration.guide import Guide
@@ -38,7 +38,7 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
     """
     guidance, more = config.guidance, {}
     if config.symmetry:
-        more["turns"] = Symmetry(env.hand, env.observations, fixed_directions(env))
+        more["turns"] = Symmetry(env.hand, env.observations, what_stays(env))
     return make(
         config.learner,
         groups=env.groups,
@@ -53,14 +53,15 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
     )
 
 
-def fixed_directions(env: ManipulationVectorEnv) -> Floats:
-    """Directions ``(k, 3)`` that what is worth what depends on, and that no observation tells."""
-    scenes = [group.scene for group in env.simulation.sim.groups]
-    found = [scene.gravity for scene in scenes]
-    task = env.config.task
-    if task.goals == "yaw" or (task.goals == NO_GOALS and not task.turning.commands):
-        found.append(np.array(task.direction))
-    return np.array(found)
+def what_stays(env: ManipulationVectorEnv) -> Fixed:
+    """What decides in these environments what is worth what, and that no observation tells."""
+    scenes, task = [group.scene for group in env.simulation.sim.groups], env.config.task
+    always = task.goals == "yaw" or (task.goals == NO_GOALS and not task.turning.commands)
+    return Fixed(
+        [scene.gravity for scene in scenes],
+        [np.array(task.direction)] if always else [],
+        all(Shape.of_body(scene.model).is_mirrored for scene in scenes),
+    )
 
 
 def device(name: str) -> str:

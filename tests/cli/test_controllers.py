@@ -178,10 +178,14 @@ def test_an_axis_that_is_none_is_an_error(name: str, axis: Any, dex5: dexctl.Han
         controllers.make(name, dex5, axis=axis)
 
 
-def test_a_policy_turns_about_the_axis_that_it_was_trained_with(dex5: dexctl.HandModel) -> None:
-    for axis in ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)):
-        made = controllers.make("learned", dex5, axis=axis)
-        assert type(made).__name__ == "Policy"
+def test_a_policy_turns_about_its_axis_and_its_mirror_image(dex5: dexctl.HandModel) -> None:
+    for axis in ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0)):
+        made: Any = controllers.make("learned", dex5, axis=axis)
+        assert made.axis == axis
+    with pytest.raises(
+        dexctl.InvalidInput, match=r"axis is \(0, -1, 0\); .* trained to turn about"
+    ):
+        controllers.make("learned", dex5, axis=(0.0, -1.0, 0.0))
 
 
 @pytest.mark.parametrize("name", OWN)

@@ -47,6 +47,7 @@ def test_the_rate_is_the_controllers(dex5: dexctl.HandModel) -> None:
         (f"{__name__}:twenty", None, 0.05),
         ("steered:goal", None, 0.02),
         ("sequence:dex5-cube-z,dex5-cube-x", None, 0.05),
+        ("commanded:dex5-easy,dex5-cube-x", None, 0.05),
     ):
         assert make_controller(name, dex5, rate).control_period == pytest.approx(period), name
 

@@ -118,6 +118,12 @@ def test_samples_lie_on_the_surface(name: str) -> None:
     assert (np.linalg.norm(points, axis=-1) <= shape.radius + 1e-9).all()
 
 
+def test_which_objects_are_their_own_mirror_images() -> None:
+    """In the xz planes of their bodies, hand-checked: L, U and the icosahedron lie otherwise."""
+    found = {name for name in object_names() if Shape.of_body(compiled(name)[0]).is_mirrored}
+    assert found == {*object_names()} - {"l_shape", "u_shape", "icosahedron"}
+
+
 def test_rays_that_miss_and_run_along_faces() -> None:
     for name in ("cube", "sphere", "cylinder"):
         shape = Shape.of_body(compiled(name)[0])

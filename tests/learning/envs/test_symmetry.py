@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from typing import Any
 
@@ -13,9 +14,9 @@ from dexctl.exceptions import InvalidInput
 from dexctl.settings import changed
 from learning.config import TrainConfig
 from learning.envs import PARTS, Observation
-from learning.envs.symmetry import Symmetry
+from learning.envs.symmetry import Fixed, Symmetry
 
-UP = np.array([[0.0, 0.0, -9.81]])
+UP = Fixed([np.array([0.0, 0.0, -9.81])])
 
 
 @pytest.fixture(scope="module")
@@ -47,15 +48,15 @@ def state(dex5: dexctl.HandModel) -> dexctl.GraspState:
 def test_what_is_seen_of_a_turned_state_is_turned(
     dex5: dexctl.HandModel, state: dexctl.GraspState, scaled: bool
 ) -> None:
-    """Every part, of the policy and behind it of the critics, for all five turns at once."""
+    """Every part, of the policy and behind it of the critics, for all ten images at once."""
     names = tuple(PARTS)
     seen = [
         Observation(dex5, parts, scaled=scaled, centre=(0.0, 0.0, 0.13))
         for parts in (names, names[::-1])
     ]
     turns = Symmetry(dex5, seen, UP)
-    assert len(turns.elements) == 5
-    which = np.arange(20) % 5
+    assert len(turns.elements) == 10
+    which = np.arange(20) % 10
     values = np.concatenate([one(state) for one in seen], axis=1)
     turned = turns.observation(which, values)
     for k, one in enumerate(turns.elements):
@@ -65,16 +66,47 @@ def test_what_is_seen_of_a_turned_state_is_turned(
         np.testing.assert_allclose(turned[rows], expected, atol=2e-6)
     action = np.random.default_rng(1).uniform(-1, 1, (20, 15))
     np.testing.assert_array_equal(
-        turns.action(which, action)[7], turns.elements[2].of_joints(action[7])
+        turns.action(which, action)[7], turns.elements[7].of_joints(action[7])
     )
+
+
+def test_an_axis_or_an_object_that_stays_leaves_the_turns_only(dex5: dexctl.HandModel) -> None:
+    """A mirror image turns the other way round, and makes another object of an L."""
+    down, seen = UP.directions, [Observation(dex5, ("q",))]
+    for fixed in (Fixed(down, axes=[np.array([0.0, 0.0, 1.0])]), Fixed(down, mirrored=False)):
+        turns = Symmetry(dex5, seen, fixed)
+        assert [one.mirrors for one in turns.elements] == [False] * 5
+    with pytest.raises(InvalidInput, match="has no symmetry"):  # x is turned to other axes by all
+        Symmetry(dex5, seen, Fixed(down, axes=[np.array([1.0, 0.0, 0.0])]))
+    only = Symmetry(dex5, seen, Fixed(down, axes=[np.array([0.0, 1.0, 0.0])]))
+    assert [one.mirrors for one in only.elements] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("changes", "axes", "mirrored"),
+    [
+        ({}, 1, True),
+        ({"commands": ("x", "z"), "parts": ("q", "goal_angular_velocity")}, 0, True),
+        ({"object": ("cube", "l_shape")}, 1, False),
+    ],
+)
+def test_what_stays_in_an_environment(changes: dict[str, Any], axes: int, mirrored: bool) -> None:
+    pytest.importorskip("torch", reason="needs the extra 'learning'")
+    from learning.training.build import build_env, what_stays
+
+    config = changed(TrainConfig(), {"object": ("cube",), "num_envs": 2, **changes})
+    with contextlib.closing(build_env(config)) as env:
+        fixed = what_stays(env)
+    np.testing.assert_allclose(fixed.directions, [[0.0, 0.0, -9.81]] * len(config.env.scene.object))
+    assert (len(fixed.axes), fixed.mirrored) == (axes, mirrored)
 
 
 def test_what_cannot_be_turned_is_refused(dex5: dexctl.HandModel) -> None:
     seen = [Observation(dex5, ("q",))]
     with pytest.raises(InvalidInput, match="symmetry is True, and the hand 'dex5' has no symmetry"):
-        Symmetry(dex5, seen, np.array([[1.0, 0.0, 0.0]]))
+        Symmetry(dex5, seen, Fixed([np.array([1.0, 0.5, 0.0])]))
     with pytest.raises(InvalidInput, match="symmetry is True, and the hand"):
-        Symmetry(dex5, [Observation(dex5, ("q",), centre=(0.02, 0.0, 0.1))], UP)
+        Symmetry(dex5, [Observation(dex5, ("q",), centre=(0.02, 0.01, 0.1))], UP)
     with pytest.raises(InvalidInput, match="symmetry is True and algorithm is 'ppo'"):
         changed(TrainConfig(), {"symmetry": True, "algorithm": "ppo", "method": "rl"})
 
@@ -99,7 +131,7 @@ def test_a_batch_to_learn_from_is_turned(dex5: dexctl.HandModel, state: dexctl.G
         row = int(batch.reward[i])
         every = [
             k
-            for k in range(5)
+            for k in range(10)
             if np.allclose(
                 batch.observation[i], turns.observation(np.array([k]), first[[row]])[0], atol=1e-5
             )
@@ -111,4 +143,4 @@ def test_a_batch_to_learn_from_is_turned(dex5: dexctl.HandModel, state: dexctl.G
             np.testing.assert_allclose(found[i], turns.action(which, value[[row]])[0], atol=1e-6)
         following = turns.observation(which, then[[row]])[0]
         np.testing.assert_allclose(batch.next_observation[i], following, atol=1e-5)
-    assert used == set(range(5))
+    assert used == set(range(10))

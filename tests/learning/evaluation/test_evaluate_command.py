@@ -82,7 +82,7 @@ def test_what_is_not_said_is_as_in_training(
 ) -> None:
     """But without noise, late sensors, pushes and given starts."""
     policy = policy_of(
-        object=("sphere", "cylinder"), gravity="down", axis=(0.0, 2.0, 0.0), object_mass=0.05,
+        object=("sphere", "cylinder"), gravity="down", axis=(2.0, 0.0, 0.0), object_mass=0.05,
         control_period=0.1, speed_limit=0.6, max_reward=0.3, touch_threshold=0.1, substeps=20,
         joint_noise=0.1, sensor_latency=0.1, push_force=1.0, push_seconds=2.0, threads=1,
         initial_states="states.npz",
@@ -92,18 +92,18 @@ def test_what_is_not_said_is_as_in_training(
     found = json.loads(capsys.readouterr().out)
     assert [one["object"] for one in found["results"]] == ["sphere", "cylinder"]
     scene, task = found["protocol"]["scene"], found["protocol"]["task"]["turning"]
-    assert (scene["gravity"], task["axis"], task["max_reward"]) == ("down", [0.0, 2.0, 0.0], 0.3)
+    assert (scene["gravity"], task["axis"], task["max_reward"]) == ("down", [2.0, 0.0, 0.0], 0.3)
     assert (scene["object_mass"], scene["control_period"], scene["substeps"]) == (0.05, 0.1, 20)
     assert (scene["limits"]["speed_limit"], scene["sensing"]["touch_threshold"]) == (0.6, 0.1)
     assert (scene["sensing"]["joint_noise"], scene["sensing"]["sensor_latency"]) == (0.0, 0.0)
     assert scene["push"] == {"push_force": 0.0, "push_seconds": 2.0}
     assert (scene["initial_states"], scene["threads"]) == (None, None)
-    others = ("--object", "cube", "--gravity", "up", "--axis=-z", "--push-force", "0.5")
+    others = ("--object", "cube", "--gravity", "up", "--axis=-x", "--push-force", "0.5")
     assert run(policy, *short, *others) == 0
     found = json.loads(capsys.readouterr().out)
     assert [one["object"] for one in found["results"]] == ["cube"]
     scene, task = found["protocol"]["scene"], found["protocol"]["task"]["turning"]
-    assert (scene["gravity"], task["axis"]) == ("up", "-z")
+    assert (scene["gravity"], task["axis"]) == ("up", "-x")
     assert found["results"][0]["disturbance"]["push_force"] == 0.5
 
 

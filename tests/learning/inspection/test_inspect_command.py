@@ -183,7 +183,7 @@ def test_a_controller_in_the_policys_place(tmp_path: Path) -> None:
 def test_shadows_change_nothing(run_folder: Path) -> None:
     """What is inspected does, to the bit, what it does in the evaluation, noise and all."""
     disturbed = {
-        "seconds": 1.0, "axis": "-x", "object_size": 0.08, "object_mass": 0.2, "push_force": 0.5,
+        "seconds": 1.0, "axis": "-z", "object_size": 0.08, "object_mass": 0.2, "push_force": 0.5,
         "joint_noise": 0.02, "sensor_latency": 0.05, "speed_limit": 0.6, "max_reward": 0.1,
     }  # fmt: skip
     for name in (str(run_folder / "policy.npz"), "igm"):

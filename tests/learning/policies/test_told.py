@@ -105,3 +105,47 @@ def test_a_goal_is_an_orientation(dex5: dexctl.HandModel) -> None:
     layers, spec = made(dex5, "goal_quaternion")
     with pytest.raises(InvalidInput, match="expected a unit quaternion"):
         Policy(dex5, layers, spec, goal=(1.0, 1.0, 0.0, 0.0))
+
+
+def test_a_policy_for_one_axis_in_an_image_of_the_hand(
+    dex5: dexctl.HandModel, state: dexctl.GraspState, tmp_path: Path
+) -> None:
+    """What turns about z turns about -z in the mirror; about x it is refused, nothing made up."""
+    layers, spec = made(dex5, "gravity", "object_quaternion")
+    turning = {"env": {"task": {"turning": {"axis": "z", "commands": []}}}}
+    path = tmp_path / "z.npz"
+    policies.save(path, layers, spec, {"trained": turning})
+    tilted = replace(state, gravity=np.array([[0.0, 3.0, -9.0], [1.0, 2.0, -9.5]]))
+    tilted = replace(tilted, q=tilted.q + np.linspace(-0.1, 0.1, 15))
+    one, other = policies.load(path), policies.load(path, axis="-z")
+    assert (one.axis, other.axis) == ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
+    assert other.symmetry is not None
+    image = other.symmetry.of_state(tilted)
+    expected = other.symmetry.of_joints(one.act(tilted))
+    np.testing.assert_allclose(other.act(image), expected, atol=1e-12)
+    assert np.abs(other.act(tilted) - one.act(tilted)).max() > 1e-3
+    assert other.turned_to((0.0, 0.0, 2.0)).axis == (0.0, 0.0, 1.0)
+    assert policies.load(path, axis="z").symmetry is None
+    named = controllers.resolve(str(path), dex5, axis=(0.0, 0.0, -1.0))
+    np.testing.assert_array_equal(named.act(tilted), other.act(tilted))
+    with pytest.raises(
+        InvalidInput, match=r"axis is \(1, 0, 0\); .* make \(0, 0, -1\), \(0, 0, 1\)"
+    ):
+        policies.load(path, axis="x")
+
+
+def test_a_command_that_was_always_about_one_axis(
+    dex5: dexctl.HandModel, state: dexctl.GraspState, tmp_path: Path
+) -> None:
+    """It is told the one axis that it knows, in the image where that is the one asked for."""
+    layers, spec = made(dex5, "goal_angular_velocity")
+    turning = {"commands": ["x"], "command_speed_range": [0.3, 0.5]}
+    path = tmp_path / "x.npz"
+    policies.save(path, layers, spec, {"trained": {"env": {"task": {"turning": turning}}}})
+    found = policies.load(path, axis=(-1.0, 0.0, 0.0))
+    assert found.axis == (-1.0, 0.0, 0.0)
+    assert found.symmetry is not None
+    alone = Policy(dex5, layers, spec, angular_velocity=(0.4, 0.0, 0.0))
+    image = found.symmetry.inverse.of_state(state)
+    expected = found.symmetry.of_joints(alone.act(image))
+    np.testing.assert_allclose(found.act(state), expected, atol=1e-12)
