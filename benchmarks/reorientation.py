@@ -1,4 +1,4 @@
-"""Goal orientations and commanded axes: a cube, palm up, by the axis-specific controllers in turn.
+"""Goal orientations and commanded axes, palm up: controllers for one axis put together, policies.
 
 Any controller or policy can be named instead; a policy must see what is wanted.
 """
@@ -6,11 +6,11 @@ Any controller or policy can be named instead; a policy must see what is wanted.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from common import Figure, Settings, earlier, progress, settings, write
+from common import FULL_TURN, Figure, Settings, earlier, progress, settings, write
 
-from dexctl.gait import GoalSequence
+from dexctl.gait import CommandedTurning, GoalSequence
 from dexctl.settings import Names, changed
 from learning.envs import ReorientationConfig, TaskConfig, TurningConfig
 from learning.envs.goals import GOALS, Goals
@@ -25,7 +25,11 @@ AXES = ("x", "-x", "y", "-y", "z", "-z")
 class Options(Settings):
     """Settings of the measurement."""
 
-    who: tuple[str, ...] = ("goal", "sequence:dex5-cube-z,dex5-cube-x")
+    who: tuple[str, ...] = (
+        "goal",
+        "sequence:dex5-cube-z,dex5-cube-x",
+        "commanded:dex5-cube-z,dex5-cube-x",
+    )
     """Controllers, policies, policy files or run folders."""
     trials: int = 96
     """Episodes of each kind of goals and of each axis."""
@@ -34,7 +38,9 @@ class Options(Settings):
     turning: float = 30.0
     """Of episodes about one axis [s]."""
     object: str = "cube"
-    """Which."""
+    """That is brought to goals."""
+    turned: tuple[str, ...] = ("cube", "sphere")
+    """That are turned about commanded axes."""
     goals: tuple[Goals, ...] = ("yaw", "cube", "uniform")
     """Kinds of goals."""
     poses: tuple[Pose, ...] = ("tracked", "odometry")
@@ -43,8 +49,17 @@ class Options(Settings):
     """Commanded axes; where a policy is not told of axes, none."""
 
 
-def measure(subject: Subject, what: Any, pose: Pose, given: Options) -> dict[str, Any]:
+class Asked(NamedTuple):
+    """What a subject is asked for: goals of a kind, or an axis."""
+
+    what: str
+    object: str
+    pose: Pose = "tracked"
+
+
+def measure(subject: Subject, asked: Asked, given: Options) -> dict[str, Any]:
     """One controller with one kind of goals, or about one axis."""
+    what: Any = asked.what
     if what in GOALS:
         seconds, reorientation = given.seconds, ReorientationConfig(goal_count=1000)
         task = TaskConfig(goals=what, reorientation=reorientation)
@@ -54,9 +69,9 @@ def measure(subject: Subject, what: Any, pose: Pose, given: Options) -> dict[str
     protocol = changed(
         replace(subject.protocol(), task=task),
         {
-            "object": given.object,
+            "object": asked.object,
             "gravity": "up",
-            "object_pose": pose,
+            "object_pose": asked.pose,
             "episodes": given.trials,
             "seconds": seconds,
             "seed": given.seed,
@@ -66,12 +81,14 @@ def measure(subject: Subject, what: Any, pose: Pose, given: Options) -> dict[str
     return {name: one.to_dict() for name, one in found.figures().items()}
 
 
-def wanted(subject: Subject, given: Options) -> list[tuple[str, Pose]]:
+def wanted(subject: Subject, given: Options) -> list[Asked]:
     """What a subject can be asked for, and how the object's pose is known then."""
-    goals: list[tuple[str, Pose]] = [(what, pose) for pose in given.poses for what in given.goals]
-    axes: list[tuple[str, Pose]] = [(what, "tracked") for what in given.axes]
+    goals = [Asked(what, given.object, pose) for pose in given.poses for what in given.goals]
+    axes = [Asked(what, name) for name in given.turned for what in given.axes]
     if isinstance(subject.controller, GoalSequence):
         return goals
+    if isinstance(subject.controller, CommandedTurning):
+        return axes
     if subject.trained is None:
         return goals + axes
     parts = subject.trained.env.parts
@@ -90,6 +107,11 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
     goals = [row for row in rows if row["what"] in GOALS]
     axes = [row for row in rows if row["what"] not in GOALS]
+    cells = {
+        (row["who"], row["object"], row["what"]): f"{number(row['rotation_median_rad'])}, "
+        f"{percent(row['share_dropped'])}"
+        for row in axes
+    }
     tables = [
         {
             "title": f"Goal orientations of a {given.object}, palm up, {given.trials} episodes of "
@@ -113,17 +135,12 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
             ],
         },
         {
-            "title": f"Turning a {given.object} about commanded axes, palm up, {given.trials} "
-            f"episodes of {given.turning:g} s: rotation before any drop, median",
-            "header": ["axis", "", "rotation [rad]", "dropped"],
+            "title": f"Turning about commanded axes, palm up, {given.trials} episodes of "
+            f"{given.turning:g} s: rotation before any drop, median [rad], and dropped",
+            "header": ["", "object", *given.axes],
             "rows": [
-                [
-                    row["what"],
-                    row["who"],
-                    number(row["rotation_median_rad"], 2),
-                    percent(row["share_dropped"]),
-                ]
-                for row in axes
+                [who, name, *(cells.get((who, name, axis), "") for axis in given.axes)]
+                for who, name in dict.fromkeys((row["who"], row["object"]) for row in axes)
             ],
         },
     ]  # fmt: skip
@@ -137,6 +154,22 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
         )
         for row in goals
     ]
+    for who, name in dict.fromkeys((row["who"], row["object"]) for row in axes):
+        own = [row for row in axes if (row["who"], row["object"]) == (who, name)]
+        good = [
+            row["rotation_median_rad"]["value"] >= 2 * FULL_TURN
+            and row["share_dropped"]["value"] <= 0.05
+            for row in own
+        ]
+        found.append(
+            Figure(
+                f"{who}: axes about which a {name} makes two turns in {given.turning:g} s, 95 % "
+                "held",
+                f"{sum(good)} of {len(own)}",
+                f"{len(own)} of {len(own)}",
+                all(good),
+            )
+        )
     write(
         "reorientation", given, found, [one for one in tables if one["rows"]], trials=rows, say=say
     )
@@ -145,15 +178,14 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 def main() -> None:
     given = settings(Options, __doc__)
     rows = earlier("reorientation", given)
-    done = {(row["who"], row["what"], row["pose"]) for row in rows}
+    done = {(row["who"], row["what"], row["object"], row["pose"]) for row in rows}
     for name in given.who:
         subject = open_subject(name)
-        for what, pose in wanted(subject, given):
-            if (name, what, pose) not in done:
-                asked = {"who": name, "what": what, "pose": pose}
-                rows.append(asked | measure(subject, what, pose, given))
+        for asked in wanted(subject, given):
+            if (name, *asked) not in done:
+                rows.append({"who": name, **asked._asdict(), **measure(subject, asked, given)})
                 save(rows, given, say=False)
-                progress(f"{name}, {what}, {pose}")
+                progress(", ".join((name, *asked)))
     save(rows, given, say=True)
 
 
