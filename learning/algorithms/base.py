@@ -102,6 +102,7 @@ class Algorithm(ABC):
         steps: environment steps observed so far, of all environments together.
         updates: how many there were.
         statistics: means over the last call of `update` that did something, by name.
+        begun: whether it has the networks of another run from the first step on.
     """
 
     name: ClassVar[str]
@@ -114,6 +115,7 @@ class Algorithm(ABC):
         self.steps = 0
         self.updates = 0
         self.statistics: dict[str, float] = {}
+        self.begun = False
 
     @abstractmethod
     def act(self, observation: np.ndarray) -> np.ndarray:

@@ -42,7 +42,8 @@ class OffPolicyConfig:
     buffer_size: int = 500_000
     """Transitions that are remembered; each takes about 0.6 kB of memory and of checkpoint."""
     learning_starts: int = 5_000
-    """Steps before the first update; the policy's part in them is random."""
+    """Steps before the first update; the policy's part in them is random, but for a run that begins
+    with the networks of another."""
     layer_norm: bool = False
     """Layer normalisation in the critics; none in the thesis (Ball et al. 2023: it bounds what
     critics extrapolate to actions that nobody tried)."""

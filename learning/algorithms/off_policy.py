@@ -97,7 +97,7 @@ class OffPolicy(Algorithm):
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         with torch.no_grad():
-            if self.steps < self.config.learning_starts:
+            if self.steps < self.config.learning_starts and not self.begun:
                 shape = (self.num_envs, self.action_size)
                 drawn = torch.rand(shape, generator=self._random, device=self.device)
                 return (2.0 * drawn - 1.0).cpu().numpy()

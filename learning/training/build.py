@@ -39,7 +39,7 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
     guidance, more = config.guidance, {}
     if config.symmetry:
         more["turns"] = Symmetry(env.hand, env.observations, what_stays(env))
-    return make(
+    made = make(
         config.learner,
         groups=env.groups,
         observation_size=int(env.single_observation_space.shape[0]),  # type: ignore[index]
@@ -51,6 +51,8 @@ def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorith
         device=device(config.device),
         **more,
     )
+    made.begun = config.begin_from is not None
+    return made
 
 
 def what_stays(env: ManipulationVectorEnv) -> Fixed:

@@ -45,12 +45,26 @@ def test_it_asks_for_the_turn_that_is_left(
     one = ahead(start, [[0, 3.0, 0]] * 3)[1]
     steering.reset()
     steering.act(one)
-    np.testing.assert_allclose(asked(turner), [0, 0.5, 0], atol=1e-12)
+    np.testing.assert_allclose(asked(turner), [[0, 0.5, 0]], atol=1e-12)
     told = GoalSteering(cylinder.hand, turner=turner, goal=(0.0, 1.0, 0.0, 0.0))
     told.act(start)
     assert np.linalg.norm(asked(turner), axis=-1) == pytest.approx(0.5)
     steering.act(start)  # no goal, nothing asked
     assert turner.asked.goal_angular_velocity is None
+
+
+def test_what_little_is_left_is_made_good_in_the_grasp(
+    cylinder: Scene, start: GraspState, still: Callable[..., Any]
+) -> None:
+    """By a gait to the goal, from where it is taken over until half as much again is left."""
+    steering = GoalSteering(cylinder.hand, turner=still(cylinder.hand), grasp_angle=0.4)
+    moved = []
+    for angles in ([0.5, 0.5, 0.3], [0.3, 0.5, 0.5], [0.5, 0.5, 0.7]):
+        action = steering.act(ahead(start, [[angle, 0, 0] for angle in angles]))
+        moved.append(action.any(axis=1).tolist())
+    assert moved == [[False, False, True], [True, False, True], [True, False, False]]
+    alone = GoalSteering(cylinder.hand, turner=still(cylinder.hand), grasp_angle=0.0)
+    assert not alone.act(ahead(start, [[0.1, 0, 0]] * 3)).any()
 
 
 def test_goals_are_reached(cylinder: Scene) -> None:

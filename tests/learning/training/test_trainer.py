@@ -275,6 +275,23 @@ def test_a_run_may_begin_with_the_networks_of_another(
     assert (state["steps"], state["updates"], len(state["replay"]["rows"])) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("begins", [True, False])
+def test_a_run_that_begins_with_a_policy_acts_by_it_from_the_first_step(
+    begins: bool, tmp_path: Path, small: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was random until the first update, and began with drops."""
+    first = tmp_path / "first"
+    train(small(method="rl", steps=8), first)
+    config = small(method="rl", sac__learning_starts=50, begin_from=first if begins else None)
+    trainer = Trainer(config, RunFolder(tmp_path / "second"))
+    trainer.begin()
+    policy = torch.full((trainer.env.num_envs, 15), 0.25)
+    monkeypatch.setattr(type(trainer.algorithm), "_explore", lambda algorithm, seen: policy)
+    acted = trainer.algorithm.act(np.zeros((len(policy), trainer.env.observations[0].size)))
+    trainer.close()
+    assert (acted == 0.25).all() == begins
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
