@@ -16,6 +16,7 @@ from learning.envs import ReorientationConfig, TaskConfig, TurningConfig
 from learning.envs.goals import GOALS, Goals
 from learning.envs.observation import ORIENTATIONS, TURNING
 from learning.evaluation import Subject, evaluate, open_subject
+from learning.policies import Policy
 
 Pose = Literal["tracked", "odometry"]
 AXES = ("x", "-x", "y", "-y", "z", "-z")
@@ -28,7 +29,8 @@ class Options(Settings):
     who: tuple[str, ...] = (
         "goal",
         "sequence:dex5-cube-z,dex5-cube-x",
-        "commanded:dex5-cube-z,dex5-cube-x",
+        "commanded:dex5-cube-z,dex5-cube-x,dex5-cube-y",
+        "commanded:dex5-easy-any,dex5-sphere-x",
     )
     """Controllers, policies, policy files or run folders."""
     trials: int = 96
@@ -40,7 +42,7 @@ class Options(Settings):
     object: str = "cube"
     """That is brought to goals."""
     turned: tuple[str, ...] = ("cube", "sphere")
-    """That are turned about commanded axes."""
+    """That are turned about commanded axes, by policies that were trained with them."""
     goals: tuple[Goals, ...] = ("yaw", "cube", "uniform")
     """Kinds of goals."""
     poses: tuple[Pose, ...] = ("tracked", "odometry")
@@ -88,7 +90,9 @@ def wanted(subject: Subject, given: Options) -> list[Asked]:
     if isinstance(subject.controller, GoalSequence):
         return goals
     if isinstance(subject.controller, CommandedTurning):
-        return axes
+        cards = [one.card for one in subject.controller.turners if isinstance(one, Policy)]
+        known = [card["trained"]["env"]["scene"]["object"] for card in cards]
+        return [one for one in axes if all(one.object in objects for objects in known)]
     if subject.trained is None:
         return goals + axes
     parts = subject.trained.env.parts

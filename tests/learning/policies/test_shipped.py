@@ -46,7 +46,7 @@ def test_each_turns_its_objects(name: str, hand_of: Hands) -> None:
 @pytest.mark.parametrize("name", policies.names())
 def test_each_has_its_card(name: str, hand_of: Hands) -> None:
     card = json.loads((policies.FOLDER / f"{name}.json").read_text())
-    assert card["steps"] + card.get("earlier_steps", 0) >= 1_000_000
+    assert card["steps"] + card.get("earlier_steps", 0) >= 600_000
     assert {"python", "torch", "mujoco"} <= set(card["versions"])
     assert card["trained"]["seed"] >= 0
     assert card["figures"]["return"] > 0
@@ -54,7 +54,7 @@ def test_each_has_its_card(name: str, hand_of: Hands) -> None:
 
 
 def test_the_package_is_small() -> None:
-    assert sum(path.stat().st_size for path in policies.FOLDER.glob("*.npz")) < 4_000_000
+    assert sum(path.stat().st_size for path in policies.FOLDER.glob("*.npz")) < 5_000_000
 
 
 def test_learned_is_a_controller_of_that_name(dex5: dexctl.HandModel) -> None:
