@@ -451,7 +451,10 @@ def commanded(
     """
     from dexctl.gait import CommandedTurning
 
-    made = [resolve(name, hand, control_period=control_period) for name in _several(turners)]
+    names = _several(turners)
+    if "" in names:
+        raise InvalidInput(f"got {turners!r}; expected controllers, commanded:NAME,...")
+    made = [resolve(name, hand, control_period=control_period) for name in names]
     return CommandedTurning(hand, made, axis=axis)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,8 @@ class CommandedTurning(BatchController):
         hand: the hand.
         turners: controllers with an attribute ``axis``, ``(3,)``: policies that were trained for
             one, in-grasp manipulation, gaits; of one control period.
-        axis: ``(3,)``, turned about where a state tells none; None: the first turner's.
+        axis: ``(3,)``, turned about where a state tells none (turners are then told 0.5 rad/s);
+            None: the first turner's.
 
     Attributes:
         turners: as given.
@@ -69,8 +71,7 @@ class CommandedTurning(BatchController):
                     axes.append(image)
                     self._images.append((i, symmetry))
         self.axes = np.array(axes)
-        told = self.axes[0] if axis is None else unit_axis(axis)
-        self._usual = int((self.axes @ told).argmax())
+        self._told = _SPEED * np.array(self.axes[0] if axis is None else unit_axis(axis))
         self._turner = np.array([i for i, _ in self._images])
         self._choice = np.zeros(0, np.intp)
 
@@ -97,6 +98,9 @@ class CommandedTurning(BatchController):
         fill(own, {"choice": self._choice}, parts["commanded"])
 
     def act_batch(self, state: GraspState) -> Floats:
+        if state.goal_angular_velocity is None:  # turners may have to be told, too
+            told = np.tile(self._told, (len(state.q), 1))
+            state = replace(state, goal_angular_velocity=told)
         choice, off = self._chosen(state)
         if len(self._choice) != len(choice):
             self._choice = choice
@@ -115,17 +119,15 @@ class CommandedTurning(BatchController):
             action = np.where((turner == i)[:, None], one.act(seen), action)
         for rows, symmetry in used:
             action[rows] = symmetry.of_joints(action[rows])
-        if state.goal_angular_velocity is not None:
-            action[~state.goal_angular_velocity.any(axis=1)] = 0.0
+        assert state.goal_angular_velocity is not None
+        action[~state.goal_angular_velocity.any(axis=1)] = 0.0
         self._diagnostics = {"turner": turner, "off": off}
         return action
 
     def _chosen(self, state: GraspState) -> tuple[NDArray[np.intp], Floats]:
         """The image for each hand, and how far its axis is from the one told, ``(N,)`` [rad]."""
-        spin = state.goal_angular_velocity
-        count = len(state.q)
-        if spin is None:
-            return np.full(count, self._usual), np.zeros(count)
+        spin, count = state.goal_angular_velocity, len(state.q)
+        assert spin is not None
         length = np.linalg.norm(spin, axis=1)
         along = spin @ self.axes.T
         best = along.argmax(axis=1)
@@ -136,3 +138,4 @@ class CommandedTurning(BatchController):
 
 
 _SLOW = 1e-12  # [rad/s]
+_SPEED = 0.5  # what is told where a state tells nothing [rad/s]

@@ -77,6 +77,16 @@ def test_without_a_command_it_turns_about_its_axis(cylinder: Scene, start: Grasp
         np.testing.assert_allclose(made.act(start), alone.act(start), atol=1e-7)
 
 
+def test_turners_are_told_where_a_state_tells_none(
+    cylinder: Scene, start: GraspState, still: Callable[..., Any]
+) -> None:
+    """Some were trained to be; in the image, it is the axis that they know."""
+    one = still(cylinder.hand)
+    one.axis = X
+    CommandedTurning(cylinder.hand, [one], axis=-X).act(start)
+    np.testing.assert_allclose(one.asked.goal_angular_velocity, [0.5 * X] * 4, atol=1e-8)
+
+
 def test_a_turner_begins_anew_when_another_axis_is_told(
     cylinder: Scene, start: GraspState, still: Callable[..., Any]
 ) -> None:
@@ -116,6 +126,8 @@ def test_by_name(cylinder: Scene) -> None:
         controllers.make("commanded", cylinder.hand)
     with pytest.raises(UnknownName, match="unknown controller 'nobody'"):
         controllers.make("commanded:igm,nobody", cylinder.hand)
+    with pytest.raises(InvalidInput, match="got ',igm'; expected controllers"):
+        controllers.make("commanded:,igm", cylinder.hand)
 
 
 def test_what_it_refuses(cylinder: Scene, still: Callable[..., Any]) -> None:
