@@ -29,8 +29,8 @@ class HandSymmetry:
     """A turn about the hand frame's origin, or a mirror image, that brings the hand to itself.
 
     In a mirror image everything turns the other way round, so a controller that turns an object
-    about z turns it about -z there. The object's own image is taken in the xz plane of its body,
-    which for shapes that are equal to it (`dexctl.sim.Shape.is_mirrored`) is the same object.
+    about z turns it about -z there. The object's own image is taken in the xz plane of its body;
+    shapes that are equal to it (`dexctl.sim.shapes.Shape.is_mirrored`) are the same object there.
 
     Attributes:
         matrix: orthogonal, ``(3, 3)``; its determinant is 1 for a turn and -1 for a mirror image.
