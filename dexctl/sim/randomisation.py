@@ -75,6 +75,9 @@ class Randomisation:
     gravity_tilt: float = 0.0
     """Gravity is turned from the scene's by up to this, uniformly on the sphere; pi: any way
     up [rad]."""
+    gravity_straight_share: float = 0.0
+    """Share of the episodes in which gravity points exactly along the scene's own line, which a
+    uniform direction never does: its way or, where the tilt reaches that, as often the other."""
     gravity_turning_range: Range | None = None
     """Speed at which gravity turns about an axis drawn, as where the hand is moved [rad/s]."""
 
@@ -89,6 +92,10 @@ class Randomisation:
         )
         if self.gravity_tilt > np.pi:
             raise InvalidInput(f"gravity_tilt is {self.gravity_tilt}; expected 0 to pi")
+        if not 0.0 <= self.gravity_straight_share <= 1.0:
+            raise InvalidInput(
+                f"gravity_straight_share is {self.gravity_straight_share}; expected 0 to 1"
+            )
         if self.touch_dropout_range is not None and self.touch_dropout_range[1] > 1:
             raise InvalidInput(
                 f"touch_dropout_range is {self.touch_dropout_range}; expected shares, 0 to 1"
@@ -287,7 +294,7 @@ class Randomiser:
             found[name] = value
         field, more = self.usual.gravity, parts[-1]
         turned = parts[Drawn._fields.index("gravity")]
-        found["gravity"] = self._tilted(field, turned[:, 0], turned[:, 1])
+        found["gravity"] = self._tilted(field, *turned.T)
         found["gravity_turning"] = self._turning(
             parts[Drawn._fields.index("gravity_turning")][:, 0], more
         )
@@ -308,13 +315,17 @@ class Randomiser:
         usual = np.where(np.isfinite(nominal), nominal, high)
         return usual + self.level * (low + (high - low) * uniform - usual)
 
-    def _tilted(self, gravity: Floats, height: Floats, azimuth: Floats) -> Floats:
-        """Gravity turned from where it points, uniformly on the cap of the sphere."""
+    def _tilted(self, gravity: Floats, height: Floats, azimuth: Floats, straight: Floats) -> Floats:
+        """Gravity turned from where it points, uniformly on the cap of the sphere, or straight."""
         most = self.level * self.config.gravity_tilt
         if not most:
             return gravity
         size = np.linalg.norm(gravity, axis=1)
         along = gravity / np.maximum(size, 1e-12)[:, None]
+        share = self.config.gravity_straight_share
+        other_way = (straight < 0.5 * share) & (most >= np.pi)
+        straight_height = np.where(other_way, 1.0, 0.0)
+        height = np.where(straight < share, straight_height, height)
         cosine = 1.0 - height * (1.0 - np.cos(most))
         sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
         aside = sine[:, None] * _around(along, 2.0 * np.pi * azimuth)

@@ -86,6 +86,20 @@ def test_gravity_points_anywhere_or_within_a_cap(cylinder: Scene) -> None:
         assert np.abs(gravity[:, :2].mean(axis=0)).max() < 0.3
 
 
+def test_a_share_of_the_episodes_has_gravity_along_the_scenes_own_line(cylinder: Scene) -> None:
+    for most, others in ((np.pi, 0.1), (0.5, 0.0)):
+        config = Randomisation(gravity_tilt=most, gravity_straight_share=0.2)
+        made = randomiser(cylinder, config, 4000)
+        made.draw(np.ones(4000, bool))
+        down = -made.drawn.gravity[:, 2] / 9.81
+        assert np.mean(down > 1 - 1e-12) == pytest.approx(0.2 - others, abs=0.02)
+        assert np.mean(down < -1 + 1e-12) == pytest.approx(others, abs=0.02)
+        plain = randomiser(cylinder, Randomisation(gravity_tilt=most), 4000)
+        plain.draw(np.ones(4000, bool))
+        same = (made.drawn.gravity == plain.drawn.gravity).all(axis=1)
+        assert same.mean() == pytest.approx(0.8, abs=0.02)  # the others are as they were
+
+
 def test_gravity_turns_about_its_axis(cylinder: Scene) -> None:
     made = randomiser(cylinder, Randomisation(gravity_turning_range=(0.3, 0.3)), 5)
     made.draw(np.ones(5, bool))
@@ -246,6 +260,7 @@ def test_touch_drops_out_as_often_as_drawn() -> None:
         ({"push_range": (0.0, np.nan)}, "push_range is"),
         ({"touch_dropout_range": (0.0, 1.5)}, "touch_dropout_range is .*expected shares, 0 to 1"),
         ({"gravity_tilt": 4.0}, "gravity_tilt is 4.0; expected 0 to pi"),
+        ({"gravity_straight_share": 1.5}, "gravity_straight_share is 1.5; expected 0 to 1"),
         ({"centre_of_mass": -1.0}, "centre_of_mass is -1.0"),
     ],
 )
