@@ -421,10 +421,8 @@ def sequence(
     """
     from dexctl.gait import GoalSequence
 
-    names = _several(turners)
-    if len(names) != 2 or "" in names:
-        raise InvalidInput(f"got {turners!r}; expected two controllers, sequence:ABOUT,ACROSS")
-    about, across = (resolve(name, hand, control_period=control_period) for name in names)
+    expected = "two controllers, sequence:ABOUT,ACROSS"
+    about, across = _resolved(turners, expected, hand, control_period, count=2)
     return GoalSequence(
         hand, about=about, across=across, control_period=about.control_period, **changes
     )
@@ -451,11 +449,22 @@ def commanded(
     """
     from dexctl.gait import CommandedTurning
 
-    names = _several(turners)
-    if "" in names:
-        raise InvalidInput(f"got {turners!r}; expected controllers, commanded:NAME,...")
-    made = [resolve(name, hand, control_period=control_period) for name in names]
+    made = _resolved(turners, "controllers, commanded:NAME,...", hand, control_period)
     return CommandedTurning(hand, made, axis=axis)
+
+
+def _resolved(
+    turners: str,
+    expected: str,
+    hand: HandModel,
+    control_period: float | None,
+    count: int | None = None,
+) -> list[Controller]:
+    """The controllers of a list of names with commas between, ``count`` of them where it is set."""
+    names = _several(turners)
+    if "" in names or count not in (None, len(names)):
+        raise InvalidInput(f"got {turners!r}; expected {expected}")
+    return [resolve(name, hand, control_period=control_period) for name in names]
 
 
 def other_object(name: str, controller: Controller, objects: Sequence[str]) -> str | None:
