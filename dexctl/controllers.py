@@ -423,6 +423,16 @@ def sequence(
 
     expected = "two controllers, sequence:ABOUT,ACROSS"
     about, across = _resolved(turners, expected, hand, control_period, count=2)
+    axis, other = (getattr(one, "axis", None) for one in (about, across))
+    if axis is not None and other is not None and abs(np.dot(axis, other)) > 1e-3:
+        # by itself it turns about the same: it is told another one
+        least = np.eye(3)[np.abs(axis).argmin()]
+        across = resolve(
+            _several(turners)[1],
+            hand,
+            control_period=control_period,
+            axis=tuple(least - (least @ axis) * np.asarray(axis)),
+        )
     return GoalSequence(
         hand, about=about, across=across, control_period=about.control_period, **changes
     )

@@ -33,17 +33,25 @@ class CommandedTurning(BatchController):
             one, in-grasp manipulation, gaits; of one control period.
         axis: ``(3,)``, turned about where a state tells none (turners are then told 0.5 rad/s);
             None: the first turner's.
+        images: whether the images by the hand's symmetries are used, or the turners' own axes only.
 
     Attributes:
         turners: as given.
         axes: that the object can be turned about, ``(k, 3)``.
+        images: of each, the number of the turner and the symmetry that makes that of it.
+        ways: 1 where that is as a turner turns it, -1 where it is in a mirror image, ``(k,)``.
 
     Raises:
         InvalidInput: no turners, one that has no axis, or of another hand or period.
     """
 
     def __init__(
-        self, hand: HandModel, turners: Sequence[Controller], *, axis: ArrayLike | None = None
+        self,
+        hand: HandModel,
+        turners: Sequence[Controller],
+        *,
+        axis: ArrayLike | None = None,
+        images: bool = True,
     ) -> None:
         if not turners:
             raise InvalidInput("CommandedTurning got no turners; expected at least one")
@@ -62,17 +70,19 @@ class CommandedTurning(BatchController):
         super().__init__(hand, control_period=turners[0].control_period)
         self.turners = tuple(turners)
         self.object = turners[0].object
-        self._images: list[tuple[int, HandSymmetry]] = []
+        found: list[tuple[int, HandSymmetry]] = []
         axes: list[Floats] = []
-        for symmetry in symmetries(hand):
+        for symmetry in symmetries(hand) if images else symmetries(hand)[:1]:
             for i, one in enumerate(self.turners):
                 image = symmetry.of_turnings(np.asarray(one.axis, float))  # type: ignore[attr-defined]
                 if not any(np.allclose(image, other, atol=1e-6) for other in axes):
                     axes.append(image)
-                    self._images.append((i, symmetry))
+                    found.append((i, symmetry))
+        self.images = tuple(found)
         self.axes = np.array(axes)
+        self.ways = np.array([-1 if symmetry.mirrors else 1 for _, symmetry in self.images])
         self._told = _SPEED * np.array(self.axes[0] if axis is None else unit_axis(axis))
-        self._turner = np.array([i for i, _ in self._images])
+        self._turner = np.array([i for i, _ in self.images])
         self._choice = np.zeros(0, np.intp)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
@@ -109,7 +119,7 @@ class CommandedTurning(BatchController):
         if told_another.any():
             for one in self.turners:
                 one.reset(None, told_another)
-        used = [(choice == k, self._images[k][1]) for k in np.unique(choice) if k > 0]
+        used = [(choice == k, self.images[k][1]) for k in np.unique(choice) if k > 0]
         seen = state  # the first image is the first turner as it is
         for rows, symmetry in used:
             seen = merged(rows, symmetry.inverse.of_state(state), seen)
@@ -121,7 +131,7 @@ class CommandedTurning(BatchController):
             action[rows] = symmetry.of_joints(action[rows])
         assert state.goal_angular_velocity is not None
         action[~state.goal_angular_velocity.any(axis=1)] = 0.0
-        self._diagnostics = {"turner": turner, "off": off}
+        self._diagnostics = {"turner": turner, "image": choice, "off": off}
         return action
 
     def _chosen(self, state: GraspState) -> tuple[NDArray[np.intp], Floats]:

@@ -1,75 +1,78 @@
-"""GoalSequence: brings an object to a goal by controllers for two axes in sequence."""
+"""GoalSequence: brings an object to a goal by controllers for two axes, and the grasp."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.controller import BatchController, Controller
 from dexctl.exceptions import InvalidInput
+from dexctl.gait.commanded import CommandedTurning
 from dexctl.gait.coordinated import CoordinatedGait
-from dexctl.gait.goal import GoalGait, split_turn
+from dexctl.gait.flat_turns import FlatTurns, Ints, Plan, wrapped
+from dexctl.gait.goal import GoalGait
 from dexctl.hand import HandModel
-from dexctl.rotations import from_rotation_vector, inverse, multiply, rotate
+from dexctl.rotations import angle_between, inverse, multiply
 from dexctl.saved import batch_shape, check_names, copies, fill
-from dexctl.state import Floats, GraspState
-from dexctl.validation import check_mask, check_numbers, check_whole, unit_axis, with_changes
+from dexctl.state import Bools, Floats, GraspState
+from dexctl.validation import check_mask, check_numbers, check_whole, shown_numbers, with_changes
 
 
 class Leg(IntEnum):
     """What is done about the goal now."""
 
     NONE = -1  # no goal yet
-    READY = 0  # turned about the palm's axis, until the turn across it leads to the goal
-    ACROSS = 1  # turned across it
-    ABOUT = 2  # turned about it, to the goal
+    READY = 0  # turned about the palm's axis, until the turn across it leads to another face
+    ACROSS = 1  # turned across it, until that face looks along it
+    ABOUT = 2  # turned about it
     GRASP = 3  # the rest, in the grasp
+    LEVEL = 4  # laid flat, in the grasp
+    LAST = 5  # turned across it, to the goal
 
 
 @dataclass(frozen=True, kw_only=True)
 class GoalSequenceConfig:
     """Settings of `GoalSequence`."""
 
-    about_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Of the palm, ``(3,)``: the one controller turns about it."""
-    across_axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    """The other one's, at right angles to it."""
     speed: float = 0.5
     """What they are told in goal_angular_velocity, about their axes [rad/s]."""
     faces: int = 4
-    """Before it is turned across, the object is turned about the axis by a multiple of 1 / faces of
-    a turn from where it is: 4 where the other controller knows a cube lying on any face."""
+    """Flat positions of the object in a full turn about each of the two axes: 4 for a cube."""
+    images: bool = False
+    """Whether controllers also turn about the images of their axes by the hand's symmetries."""
     most_tilt: float = 0.45
-    """The grasp makes good the tilt that is left where it is less than this [rad]; ..."""
+    """The grasp makes good what is left where it is less than this [rad]; ..."""
     lost_tilt: float = 0.7
-    """... with more than this, other turns are looked for."""
+    """... with more than this (in the grasp half as much more), other turns are looked for."""
     align_angle: float = 0.2
     """A turn about the axis is over when less than this is left [rad]; ..."""
     turn_angle: float = 0.5
-    """... it is begun where there is more than this, and begun again with half as much more."""
+    """... before the grasp it is begun where there is more than this, and begun again with half as
+    much more."""
     across_angle: float = 0.1
     """A turn across it is over when less than this is left [rad]."""
+    flat_tilt: float = 0.4
+    """An object that is tilted by more than this is laid flat before it is turned [rad], ..."""
+    level_seconds: float = 2.0
+    """... for so long at most [s]."""
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
             positive=(
                 "speed", "most_tilt", "lost_tilt", "align_angle", "turn_angle", "across_angle",
+                "flat_tilt", "level_seconds",
             ),
         )  # fmt: skip
         check_whole(self, faces=1)
-        about, across = unit_axis(self.about_axis), unit_axis(self.across_axis)
-        if abs(np.dot(about, across)) > 1e-6:
-            raise InvalidInput(
-                f"across_axis is {self.across_axis}; expected one at right angles to "
-                f"{self.about_axis}"
-            )
-        for least, most in (("most_tilt", "lost_tilt"), ("align_angle", "turn_angle")):
+        for least, most in (
+            ("flat_tilt", "most_tilt"), ("most_tilt", "lost_tilt"), ("align_angle", "turn_angle"),
+        ):  # fmt: skip
             if getattr(self, least) >= getattr(self, most):
                 raise InvalidInput(
                     f"{least} is {getattr(self, least)}; expected less than {most}, "
@@ -80,51 +83,44 @@ class GoalSequenceConfig:
 class GoalSequenceChanges(TypedDict, total=False):
     """`GoalSequenceConfig`'s fields as keywords, for type checkers."""
 
-    about_axis: tuple[float, float, float]
-    across_axis: tuple[float, float, float]
     speed: float
     faces: int
+    images: bool
     most_tilt: float
     lost_tilt: float
     align_angle: float
     turn_angle: float
     across_angle: float
-
-
-class Left(NamedTuple):
-    """What is left to do to the goal; arrays ``(N,)`` [rad].
-
-    Attributes:
-        tilt: angle between the axis and what of the object is to be there.
-        across: turn across the axis that makes it least, in (-pi, pi].
-        about: turn about the axis, after the tilt is made good, in [-pi, pi).
-    """
-
-    tilt: Floats
-    across: Floats
-    about: Floats
+    flat_tilt: float
+    level_seconds: float
 
 
 class GoalSequence(BatchController):
-    """Turns the object about the palm's axis, across it, about it again, and then in the grasp.
+    """Turns the object from one flat position to another, then towards the goal, then in the grasp.
 
     The thesis's hand-centric decomposition (chapter 3) with controllers, such as trained policies,
-    that each turn an object without end about one axis, and one way only: any orientation is a
-    turn about the axis, one across it and another about it (Euler angles); of those that differ in
-    the first the shortest is taken. `GoalGait` makes good the last tenths of a radian without
-    letting go. A goal that is tilted from all faces of the object by more than the grasp can make
-    good is not reached.
+    that each turn an object without end about one axis: one about the palm's axis, which here is
+    that of ``about``, one across it; as a setting also with their images by the hand's symmetries,
+    which on dex5 turn either way about the one and about ten across it. An object is turned
+    about the palm's axis where it lies flat, and across it where it is square to the axis; so a
+    goal is come to by a turn that brings the right face up, one about the axis, one across it that
+    may end on an edge, and the rest, up to half a radian, in the grasp by `GoalGait`, which does
+    not let go. The object has to lie flat, and square to the axis of ``across``, when an episode
+    begins. Of all such ways the one with the least to turn is taken (`dexctl.gait.flat_turns`),
+    and another where something else comes of it.
 
     Args:
         hand: the hand.
         config: the settings; None: `GoalSequenceConfig`'s own. Keyword arguments change single
             ones.
-        about, across: who turns the object about the axis and across it; they are told so in
-            ``goal_angular_velocity``, too. None: a `CoordinatedGait` about that axis.
+        about, across: who turns the object about the palm's axis and across it, with an attribute
+            ``axis``, ``(3,)``; they are told it in ``goal_angular_velocity``, too. None: a
+            `CoordinatedGait`, about z and x.
         control_period: [s].
 
     Raises:
-        InvalidInput: a setting is wrong, or one of them is no controller of this period.
+        InvalidInput: a setting is wrong, one of them is no controller of this period or turns about
+            no axis, or their axes are not at right angles.
     """
 
     def __init__(
@@ -138,16 +134,14 @@ class GoalSequence(BatchController):
         **changes: Unpack[GoalSequenceChanges],
     ) -> None:
         super().__init__(hand, control_period=control_period)
-        self.config = with_changes(GoalSequenceConfig, config, changes)
+        self.config = config = with_changes(GoalSequenceConfig, config, changes)
         self.grasp = GoalGait(hand, control_period=control_period)
-        self._axis = np.array(unit_axis(self.config.about_axis))
-        self._across = np.array(unit_axis(self.config.across_axis))
 
-        def gait(axis: Floats) -> Controller:
+        def gait(axis: tuple[float, float, float]) -> Controller:
             return CoordinatedGait(hand, control_period=control_period, axis=axis)
 
-        self.about = gait(self._axis) if about is None else about
-        self.across = gait(self._across) if across is None else across
+        self.about = gait((0, 0, 1)) if about is None else about
+        self.across = gait((1, 0, 0)) if across is None else across
         for name, one in (("about", self.about), ("across", self.across)):
             if not isinstance(one, Controller):
                 raise InvalidInput(f"{name} is {one!r}; expected a Controller")
@@ -156,19 +150,42 @@ class GoalSequence(BatchController):
                     f"{name} has a control period of {one.control_period}; expected "
                     f"{control_period}"
                 )
+        self.turner = CommandedTurning(hand, (self.about, self.across), images=config.images)
+        axes = self.turner.axes
+        along = axes @ axes[0]  # the first is the first controller's own
+        lying = axes[np.abs(along) < _SQUARE]
+        if not len(lying):
+            raise InvalidInput(
+                f"across turns about {shown_numbers(self.across.axis)}; expected an axis at right "  # type: ignore[attr-defined]
+                f"angles to {shown_numbers(axes[0])}"
+            )
+        # in a mirror image both turn the other way: what follows on each other is of one kind
+        ways = self.turner.ways[np.abs(along) < _SQUARE]
+        self._turns = tuple(
+            FlatTurns(axes[0], lying, np.flatnonzero(ways == way), config.faces, way)
+            for way in (1, -1)
+            if (ways == way).any()
+        )
         self._start(0)
 
     def _start(self, count: int) -> None:
         self._leg = np.full(count, int(Leg.NONE))
-        self._goal, self._ready = np.zeros((count, 4)), np.zeros((count, 4))
-        self._place = np.zeros((count, 3))
+        self._goal, self._flat = np.zeros((count, 4)), np.zeros((count, 4))
+        self._place, self._aim = np.zeros((count, 3)), np.zeros((count, 4))
+        self._since = np.zeros(count, int)
+        self._faces = np.zeros((count, 2), int)  # before and after the turn across
+        self._axes = np.full((count, 2), -1)  # of the first and the last turn across
+        self._yaws = np.zeros((count, 2))  # before and after the first one [rad]
+        self._way = np.ones(count, int)  # of the turns about the palm's axis
 
     def _controllers(self) -> dict[str, Controller]:
-        return {"about": self.about, "across": self.across, "grasp": self.grasp}
+        return {"turner": self.turner, "grasp": self.grasp}
 
     def _arrays(self) -> dict[str, np.ndarray]:
         return {
-            "leg": self._leg, "goal": self._goal, "ready": self._ready, "place": self._place,
+            "leg": self._leg, "goal": self._goal, "flat": self._flat, "place": self._place,
+            "aim": self._aim, "since": self._since, "faces": self._faces, "axes": self._axes,
+            "yaws": self._yaws, "way": self._way,
         }  # fmt: skip
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
@@ -196,7 +213,7 @@ class GoalSequence(BatchController):
     def act_batch(self, state: GraspState) -> Floats:
         goal, now, place = state.goal_quaternion, state.object_quaternion, state.object_position
         if goal is None:
-            return self._ask(self.about, state, self._axis)
+            return self._turn(state, np.broadcast_to(self._turns[0].axis, (len(state.q), 3)))
         if now is None or place is None:
             raise InvalidInput(
                 "the state has a goal and no pose of the object; expected a tracked object"
@@ -205,91 +222,119 @@ class GoalSequence(BatchController):
             self._start(len(now))
         begun = self._leg == Leg.NONE
         self._place = np.where(begun[:, None], place, self._place)
-        before, left = self._leg, self._go_on(now, goal, begun)
-        taken_over = (self._leg == Leg.GRASP) & (before != Leg.GRASP)
+        self._flat = np.where(begun[:, None], now, self._flat)
+        before, spin = self._leg, self._go_on(now, goal, begun)
+        grasped = np.isin(self._leg, _IN_GRASP)
+        taken_over = grasped & ~np.isin(before, _IN_GRASP)
         if taken_over.any() and not begun.all():
             self.grasp.reset(None, taken_over)
-        self.grasp.refer_to(self._place, goal)
-        action = np.where(
-            (self._leg == Leg.GRASP)[:, None],
-            self.grasp.act(replace(state, goal_angular_velocity=None)),
-            np.where(
-                (self._leg == Leg.ACROSS)[:, None],
-                self._ask(self.across, state, self._across),
-                self._ask(self.about, state, self._axis),
-            ),
-        )
-        self._diagnostics = {"leg": self._leg.copy(), **left._asdict()}
+        aim = np.where((self._leg == Leg.LEVEL)[:, None], self._aim, goal)
+        self.grasp.refer_to(self._place, aim)
+        told = replace(state, goal_quaternion=aim, goal_angular_velocity=None)
+        action = np.where(grasped[:, None], self.grasp.act(told), self._turn(state, spin))
+        self._diagnostics = {"leg": self._leg.copy(), "left": angle_between(now, goal)}
         return action
 
-    def _ask(self, one: Controller, state: GraspState, axis: Floats) -> Floats:
-        """What a controller does that is told to turn about ``axis``."""
-        spin = np.broadcast_to(self.config.speed * axis, (*state.batch_shape, 3))
-        return one.act(replace(state, goal_quaternion=None, goal_angular_velocity=spin))
+    def _turn(self, state: GraspState, axis: Floats) -> Floats:
+        """What is done to turn objects about axes ``(N, 3)``."""
+        spin = self.config.speed * axis
+        return self.turner.act(replace(state, goal_quaternion=None, goal_angular_velocity=spin))
 
-    def _go_on(self, now: Floats, goal: Floats, begun: np.ndarray) -> Left:
-        """Decide what is done next; what is left of it."""
-        config, leg = self.config, self._leg
-        left, ready = self.left(now, goal), self.left(now, self._ready)
+    def _go_on(self, now: Floats, goal: Floats, begun: Bools) -> Floats:
+        """Decide what is done next; the axes to turn about, ``(N, 3)``."""
+        config, turns, leg = self.config, self._turns[0], self._leg
+        turn, wanted = multiply(now, inverse(self._flat)), multiply(goal, inverse(self._flat))
+        face, tilt, yaw = turns.lies(turn)
+        self._since = self._since + 1
         other = ~begun & (np.abs((goal * self._goal).sum(axis=1)) < 1.0 - 1e-9)
-        over = (leg == Leg.ACROSS) & (left.across < config.across_angle)
-        # one that goes the long way round has more than half a turn left
-        over &= left.across > -config.lost_tilt
-        lost = (leg >= Leg.ABOUT) & (left.tilt > config.lost_tilt)
-        new = begun | other | over | lost
         self._goal = goal.copy()
-        readied = (leg == Leg.READY) & (np.abs(ready.about) < config.align_angle)
-        next_leg = np.where(readied, Leg.ACROSS, leg)
+        turned = leg == Leg.ACROSS
+        left = turns.across_left(turn, self._faces[:, 1], self._axes[:, 0])
+        # one that goes the long way round has more than half a turn left
+        turned &= (left < config.across_angle) & (left > -config.lost_tilt)
+        tipped = np.isin(leg, (Leg.READY, Leg.ABOUT)) & (tilt > config.lost_tilt)
+        lost = (leg == Leg.GRASP) & (angle_between(now, goal) > _LOST * config.lost_tilt)
+        levelled = (leg == Leg.LEVEL) & (
+            (tilt < 0.5 * config.flat_tilt)
+            | (self._since * self.control_period > config.level_seconds)
+        )
+        in_grasp = begun | lost | levelled | (other & np.isin(leg, _IN_GRASP))
+        new = in_grasp | other | turned | tipped
         if new.any():
-            first = self._first(now, goal)
-            turned = multiply(from_rotation_vector(first[:, None] * self._axis), now)
-            self._ready = np.where(new[:, None], turned, self._ready)
-            turns = np.where(first > 0, Leg.READY, Leg.ACROSS)
-            near = left.tilt < config.most_tilt
-            next_leg = np.where(new, np.where(near, Leg.GRASP, turns), next_leg)
-        again = np.where(leg == Leg.GRASP, 1.5, 1.0)  # not to and fro
-        far = np.abs(left.about) > again * config.turn_angle
-        there = np.abs(left.about) < config.align_angle
-        grasped, flat = next_leg == Leg.GRASP, left.tilt < config.most_tilt
-        next_leg = np.where(grasped & far & flat, Leg.ABOUT, next_leg)
-        next_leg = np.where((next_leg == Leg.ABOUT) & there, Leg.GRASP, next_leg)
-        self._leg = next_leg.astype(int)
-        return left
+            self._decide(np.flatnonzero(new), turn, wanted, face, tilt, yaw, in_grasp, levelled)
+        leg = self._leg
+        ready = turns.yaw_left(turn, self._faces[:, 0], self._yaws[:, 0], self._way)
+        readied = (leg == Leg.READY) & (ready < config.align_angle)
+        leg = np.where(readied, int(Leg.ACROSS), leg)
+        about = turns.yaw_left(turn, self._faces[:, 1], self._yaws[:, 1], self._way)
+        there = (leg == Leg.ABOUT) & (about < config.align_angle)
+        goes_on = self._axes[:, 1] >= 0
+        leg = np.where(there, np.where(goes_on, int(Leg.LAST), int(Leg.GRASP)), leg)
+        u = turns.across[self._axes[:, 1]]
+        rest = multiply(goal, inverse(now))
+        rest = wrapped(2.0 * np.arctan2((rest[:, 1:] * u).sum(axis=1), rest[:, 0]))
+        leg = np.where((leg == Leg.LAST) & (rest < config.across_angle), int(Leg.GRASP), leg)
+        self._leg = leg
+        spin = self._way[:, None] * turns.axis
+        for one, k in ((Leg.ACROSS, self._axes[:, 0]), (Leg.LAST, self._axes[:, 1])):
+            spin = np.where((leg == one)[:, None], turns.across[k], spin)
+        return spin
 
-    def left(self, now: Floats, goal: Floats) -> Left:
-        """What is left from orientations ``now`` to ``goal``, wxyz ``(N, 4)``."""
-        x, y, z = self._hand_to_goal(now, goal)
-        about = split_turn(multiply(goal, inverse(now)), self._axis)[1]
-        return Left(np.arctan2(np.hypot(x, y), z), np.arctan2(y, z), about)
+    def _decide(
+        self,
+        rows: Ints,
+        turn: Floats,
+        goal: Floats,
+        face: Ints,
+        tilt: Floats,
+        yaw: Floats,
+        in_grasp: Bools,
+        levelled: Bools,
+    ) -> None:
+        """Find out what is to be done from now on."""
+        config = self.config
+        turn, goal, face, tilt, yaw = turn[rows], goal[rows], face[rows], tilt[rows], yaw[rows]
+        kept, cost, plans, backs = self._way[rows], [], [], []
+        for turns in self._turns:
+            plans.append(
+                turns.plan(turn, goal, config.most_tilt, config.turn_angle, config.align_angle)
+            )
+            backs.append(turns.back(turn))
+            bound = ~in_grasp[rows] & (kept != turns.way)
+            cost.append(plans[-1].cost + np.where(bound, np.inf, 0.0))
+        side, way = np.argmin(cost, axis=0), np.array([turns.way for turns in self._turns])
+        plan = Plan(*(np.choose(side, values) for values in zip(*plans, strict=True)))
+        turns, way = self._turns[0], way[side]
+        across, last = plan.first >= 0, plan.last >= 0
+        far = np.abs(wrapped(turns.yaw_left(turn, plan.face, plan.yaw, way)))
+        about = far > np.where(last, config.align_angle, config.turn_angle)
+        leg = np.where(about, int(Leg.ABOUT), np.where(last, int(Leg.LAST), int(Leg.GRASP)))
+        leg = np.where(across, int(Leg.READY), leg)
+        faces = np.stack([face, plan.face], axis=1)
+        axes = np.stack([plan.first, plan.last], axis=1)
+        near = angle_between(turn, goal) < config.most_tilt
+        flat = (tilt < config.flat_tilt) | levelled[rows]
+        level = ~near & ~flat & (tilt < config.most_tilt)
+        edge = ~near & ~flat & ~level
+        faces[:, 1], axes[:, 0] = (
+            np.where(edge, np.choose(side, back), planned)
+            for back, planned in zip(
+                zip(*backs, strict=True), (faces[:, 1], axes[:, 0]), strict=True
+            )
+        )
+        leg = np.where(level, int(Leg.LEVEL), np.where(edge, int(Leg.ACROSS), leg))
+        leg = np.where(near, int(Leg.GRASP), leg)
+        found = {
+            "_leg": leg, "_since": 0, "_aim": multiply(turns.flat(face, yaw), self._flat[rows]),
+            "_faces": faces, "_axes": axes, "_way": way,
+            "_yaws": np.stack([plan.ready, plan.yaw], axis=1),
+        }  # fmt: skip
+        for name, value in found.items():
+            changed = getattr(self, name).copy()
+            changed[rows] = value
+            setattr(self, name, changed)
 
-    def _hand_to_goal(self, now: Floats, goal: Floats) -> tuple[Floats, Floats, Floats]:
-        """Where that of the object is now which is to be along the axis: coordinates ``(N,)``.
 
-        Along ``across``, along what completes the two to a right-handed frame, along the axis.
-        """
-        axis, across = self._axis, self._across
-        there = rotate(now, rotate(inverse(goal), np.broadcast_to(axis, (len(now), 3))))
-        return there @ across, there @ np.cross(axis, across), there @ axis
-
-    def _first(self, now: Floats, goal: Floats) -> Floats:
-        """By how much to turn about the axis before the turn across it, ``(N,)`` [rad].
-
-        Of ``faces`` angles, the one with the least to turn altogether, of those which leave no more
-        tilt than the grasp makes good.
-        """
-        config, count = self.config, len(now)
-        best, least = np.zeros(count), np.full(count, np.inf)
-        for i in range(config.faces):
-            first = 2.0 * np.pi * i / config.faces
-            turned = multiply(from_rotation_vector(np.tile(first * self._axis, (count, 1))), now)
-            across = self.left(turned, goal).across % (2.0 * np.pi)
-            turned = multiply(from_rotation_vector(across[:, None] * self._across), turned)
-            tilt, _, about = self.left(turned, goal)
-            # less than turn_angle is the grasp's, either way round
-            last = np.where(np.abs(about) > config.turn_angle, about % (2.0 * np.pi), 0.0)
-            cost = first + across + last + _UNREACHED * np.maximum(tilt - config.most_tilt, 0.0)
-            best, least = np.where(cost < least, first, best), np.minimum(cost, least)
-        return best
-
-
-_UNREACHED = 100.0  # what a tilt that the grasp cannot make good counts as more than turning
+_IN_GRASP = (Leg.GRASP, Leg.LEVEL)
+_SQUARE = 1e-3
+_LOST = 1.5

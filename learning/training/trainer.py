@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from dexctl.exceptions import DexctlError, InvalidInput
-from dexctl.settings import difference, to_plain
+from dexctl.settings import difference, from_plain, to_plain
 from learning.algorithms.base import Transitions
 from learning.config import TrainConfig
 from learning.exploration import POLICY
@@ -350,7 +350,8 @@ class Trainer:
             CheckpointError: it is of another configuration, or lacks something.
         """
         where = self.folder.checkpoint_path
-        other = difference(_fixed(saved.get("config", {})), _fixed(to_plain(self.config)))
+        then = _with_defaults(saved.get("config", {}))
+        other = difference(_fixed(then), _fixed(to_plain(self.config)))
         if other is not None:
             raise CheckpointError(
                 f"{where} does not fit {self.folder.config_path.name}: {other}; put that back, or "
@@ -392,6 +393,14 @@ class Trainer:
         if self._log is not None:
             self._log.close()
         self.env.close()
+
+
+def _with_defaults(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The same; settings that have come since it was written are as by default, as they were."""
+    try:
+        return to_plain(from_plain(TrainConfig, config))
+    except DexctlError:
+        return config  # what it has that there is no more will be told
 
 
 def _fixed(config: Mapping[str, Any]) -> dict[str, Any]:

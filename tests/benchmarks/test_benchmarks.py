@@ -58,6 +58,7 @@ RUNS: dict[str, list[str]] = {
     "hardware_grasp.py": [*SHORT, "--trace-seconds", "0.5", "--repeats", "1", *PATIENT],
     "goal_policies.py": [
         *("--steps", "200", "--about-steps", "200", "--last-steps", "200", "--num-envs", "4"),
+        *("--gentle-steps", "200"),
         *("--states-seconds", "0.5", "--episodes", "12", "--seconds", "1"),
     ],
     "predictive_sampling.py": [*SHORT],

@@ -53,9 +53,10 @@ CONTROLLERS: dict[str, Callable[..., Controller]] = {
 
 
 class Still(Controller):
-    """Holds still, and keeps what it was asked."""
+    """Holds still, and keeps what it was asked; told to turn about an axis."""
 
     asked: GraspState | None = None
+    axis = np.array([0.0, 0.0, 1.0])
 
     def act(self, state: GraspState) -> np.ndarray:
         self.asked = state

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import threading
@@ -207,6 +208,25 @@ def test_a_checkpoint_that_lacks_something_is_one_line(
     folder.write_checkpoint(saved)
     with pytest.raises(CheckpointError, match="checkpoint.bin does not fit"):
         resume(folder.path, 80)
+
+
+def test_a_setting_that_came_since_is_no_obstacle_at_its_default(
+    small: Make, tmp_path: Path
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    train(small(steps=60), folder.path)
+    saved = folder.read_checkpoint()
+    assert saved is not None
+    del saved["config"]["env"]["scene"]["randomisation"]["gravity_straight_share"]
+    folder.write_checkpoint(saved)
+    assert resume(folder.path, 80) is not None
+    del saved["config"]["env"]["scene"]["randomisation"]["gravity_tilt"]
+    folder.write_checkpoint(saved)
+    values = folder.config_values()
+    values["env"]["scene"]["randomisation"]["gravity_tilt"] = 1.0
+    folder.config_path.write_text(json.dumps(values))
+    with pytest.raises(CheckpointError, match=r"gravity_tilt was 0.0, is 1.0"):
+        resume(folder.path, 100)
 
 
 @pytest.mark.parametrize("algorithm", ["sac", "td3"])
