@@ -43,6 +43,19 @@ def from_rotation_vector(vector: Floats) -> Floats:
     return np.concatenate([np.cos(0.5 * angle), scale * vector], axis=-1)
 
 
+def twist_angle(quaternion: Floats, axis: Floats) -> Floats:
+    """The turn about ``axis``, ``(3,)`` or ``(..., 3)``: ``(...)`` [rad], in [-2 pi, 2 pi].
+
+    It is the twist of the swing-twist decomposition, so that tilting alone does not count.
+    """
+    return 2.0 * np.arctan2((quaternion[..., 1:] * axis).sum(axis=-1), quaternion[..., 0])
+
+
+def shortest(angle: Floats) -> Floats:
+    """``angle`` ``(...)`` [rad] as the shortest turn that ends in the same place, [-pi, pi)."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
 def angle_between(a: Floats, b: Floats) -> Floats:
     """The angle ``(...)`` [rad], in [0, pi], of the turn between orientations ``(..., 4)``."""
     turn = multiply(a, inverse(b))

@@ -14,7 +14,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dexctl.rotations import cross, from_rotation_vector, inverse, multiply, rotate, rotation_vector
+from dexctl.rotations import (
+    cross,
+    from_rotation_vector,
+    inverse,
+    multiply,
+    rotate,
+    rotation_vector,
+    shortest,
+    twist_angle,
+)
 from dexctl.state import Floats
 
 Ints = NDArray[np.intp]
@@ -29,6 +38,7 @@ class Plan(NamedTuple):
         ready: yaw of the present face before that turn [rad].
         yaw: of the face, after a turn about the palm's axis [rad].
         last: number of the axis of a turn from there towards the goal; -1: none.
+        way: of the turns about the axis, 1 or -1.
         cost: what it comes to, turns in rad and what they cannot make good.
     """
 
@@ -37,6 +47,7 @@ class Plan(NamedTuple):
     ready: Floats
     yaw: Floats
     last: Ints
+    way: Ints
     cost: Floats
 
 
@@ -50,19 +61,18 @@ class FlatTurns:
         axis: of the palm, unit ``(3,)``.
         across: unit vectors at right angles to it, ``(k, 3)``, that the object can be turned about,
             each one way.
-        used: numbers of those that are taken, ``(u,)``.
+        ways: 1 or -1, ``(k,)``: which way the object is turned about ``axis`` before and after.
         faces: 4 for a cube.
-        way: 1 where the object is turned about ``axis``, -1 where the other way.
 
     Attributes:
         directions: of the object, that look along the axis in flat positions, ``(f, 3)``.
     """
 
-    def __init__(self, axis: Floats, across: Floats, used: Ints, faces: int, way: int) -> None:
-        self.axis, self.across, self.used, self.way = axis, across, used, way
+    def __init__(self, axis: Floats, across: Floats, ways: Ints, faces: int) -> None:
+        self.axis, self.across, self.ways = axis, across, ways
         self.step = 2.0 * np.pi / faces
         beside = np.cross(axis, across[0])
-        self.azimuth = np.arctan2(across[used] @ beside, across[used] @ across[0])  # (u,)
+        self.azimuth = np.arctan2(across @ beside, across @ across[0])  # (k,)
         yaws = np.arange(faces, dtype=float) * self.step
         lines = np.cos(yaws)[:, None] * across[0] + np.sin(yaws)[:, None] * beside
         # the turns that bring each direction to the axis: none, and one step after the other
@@ -76,17 +86,15 @@ class FlatTurns:
         self._upright = np.array(upright)  # (f, 4)
         self.directions = rotate(inverse(self._upright), axis)
         self._tabulate(yaws, faces)
-        # flat positions that are square to each axis, (f, u, faces)
+        # flat positions that are square to each axis, (f, k, faces)
         square = np.asarray(self.azimuth[:, None] + yaws, float)
         self._square = np.tile(square, (len(upright), 1, 1))
 
     def _tabulate(self, yaws: Floats, faces: int) -> None:
         """Where turns across lead: from face i, about line j, by n steps, about axis k."""
         counts = np.arange(1, faces // 2 + 1)
-        before = wrapped(self.azimuth[None, :] - yaws[:, None])  # (j, k): yaw, whichever face
-        turn = from_rotation_vector(
-            self.step * counts[:, None, None] * self.across[self.used]
-        )  # (n, u, 4)
+        before = shortest(self.azimuth[None, :] - yaws[:, None])  # (j, k): yaw, whichever face
+        turn = from_rotation_vector(self.step * counts[:, None, None] * self.across)  # (n, k, 4)
         about = from_rotation_vector(before[..., None] * self.axis)  # (j, k, 4)
         after = multiply(
             turn[None, None],
@@ -100,7 +108,7 @@ class FlatTurns:
 
     def _yaw(self, turn: Floats, face: Ints) -> Floats:
         about = multiply(turn, inverse(self._upright[face]))
-        return wrapped(2.0 * np.arctan2(about[..., 1:] @ self.axis, about[..., 0]))
+        return shortest(twist_angle(about, self.axis))
 
     def lies(self, turn: Floats) -> tuple[Ints, Floats, Floats]:
         """The face that looks most along the axis, its tilt and its yaw [rad], each ``(N,)``."""
@@ -122,24 +130,28 @@ class FlatTurns:
         """The flat position, wxyz ``(N, 4)``."""
         return multiply(from_rotation_vector(yaw[:, None] * self.axis), self._upright[face])
 
-    def back(self, turn: Floats) -> tuple[Ints, Ints]:
+    def back(self, turn: Floats, way: Ints) -> tuple[Ints, Ints]:
         """From where the object lies on an edge: face and axis of the turn to a flat position."""
         there = rotate(turn[:, None], self.directions)[:, :, None]  # (N, f, 1, 3)
-        across = self.across[self.used]
+        across = self.across
         beside = np.cross(self.axis, across)
         along, up = there @ beside.T, (there @ self.axis[:, None])  # (N, f, 1, k), (N, f, 1, 1)
         left = np.arctan2(along[:, :, 0], up[:, :, 0]) % (2.0 * np.pi)
         missed = np.arcsin(np.clip(np.abs(there @ across.T)[:, :, 0], 0.0, 1.0))
-        best = (left + _MISSED * missed).reshape(len(turn), -1).argmin(axis=1)
+        barred = np.where(self.ways == way[:, None], 0.0, np.inf)[:, None]
+        best = (left + _MISSED * missed + barred).reshape(len(turn), -1).argmin(axis=1)
         face, k = np.unravel_index(best, left.shape[1:])
-        return face, self.used[k]
+        return face, k
 
-    def plan(self, turn: Floats, goal: Floats, most: float, near: float, square: float) -> Plan:
+    def plan(
+        self, turn: Floats, goal: Floats, bound: Ints, most: float, near: float, square: float
+    ) -> Plan:
         """From ``turn``, flat, to ``goal``, ``(N, 4)``.
 
         Args:
             turn: where the objects lie.
             goal: where they are to be.
+            bound: 1 or -1 where objects have to go on that way about the axis, else 0, ``(N,)``.
             most: what is left at the end is made good up to this angle [rad].
             near: turns about the axis by less than this need not be made at the end, ...
             square: ... nor by less than this before a turn across it [rad].
@@ -147,7 +159,14 @@ class FlatTurns:
         now, _, yaw_now = self.lies(turn)
         faces, yaw, last, end = self._ends(goal, most)
         enough = np.where(last < 0, near, square)
-        return self._reached(now, yaw_now, faces, yaw, last, end, enough, square)
+        plans = [
+            self._reached(now, yaw_now, faces, yaw, last, end, enough, square, way)
+            for way in (1, -1)
+            if (self.ways == way).any()
+        ]
+        cost = [np.where(bound * one.way < 0, np.inf, one.cost) for one in plans]
+        best = np.argmin(cost, axis=0)
+        return Plan(*(np.choose(best, values) for values in zip(*plans, strict=True)))
 
     def _ends(self, goal: Floats, most: float) -> tuple[Ints, Floats, Ints, Floats]:
         """Flat positions near the goal, ``(e,)``; their yaws, last axes and costs, ``(N, e)``."""
@@ -159,10 +178,10 @@ class FlatTurns:
         # with one: square to each axis
         square = self._square.reshape(-1)
         face = np.repeat(every, k * steps)
-        axes = np.tile(np.repeat(self.used, steps), f)
+        axes = np.tile(np.repeat(np.arange(k), steps), f)
         left = multiply(goal[:, None], inverse(self.flat(face, square)))
         u = self.across[axes]
-        angle = wrapped(2.0 * np.arctan2((left[..., 1:] * u).sum(axis=-1), left[..., 0]))
+        angle = shortest(twist_angle(left, u))
         rest = multiply(left, inverse(from_rotation_vector(angle[..., None] * u)))
         missed = np.linalg.norm(rotation_vector(rest), axis=-1)
         too_far = np.where((angle < 0) | (angle > self.step), _UNREACHED, 0.0)
@@ -185,15 +204,18 @@ class FlatTurns:
         end: Floats,
         enough: Floats,
         square: float,
+        way: int,
     ) -> Plan:
-        """The cheapest way from where objects lie to one of the ends."""
-        n = len(now)
-        direct = self._cost(yaw - yaw_now[:, None], enough) + end
+        """The cheapest from where objects lie to one of the ends, one way about the axis."""
+        n, usable = len(now), self.ways == way
+        end = end + np.where((last < 0) | usable[last], 0.0, np.inf)
+        direct = _cost(yaw - yaw_now[:, None], enough, way) + end
         best = np.where(faces == now[:, None], direct, np.inf)
         table = self._before[now].reshape(n, -1)
-        readied = self._cost(table - yaw_now[:, None], square) + self._turned[now].reshape(n, -1)
+        axes = np.tile(np.arange(len(usable)), table.shape[1] // len(usable))
+        readied = _cost(table - yaw_now[:, None], square, way) + self._turned[now].reshape(n, -1)
+        readied += np.where(usable[axes], 0.0, np.inf)
         after, yaw_after = (one[now].reshape(n, -1) for one in (self._face_after, self._yaw_after))
-        axes = np.tile(self.used, table.shape[1] // len(self.used))
         first = np.full(best.shape, -1)
         ready = np.zeros(best.shape)
         faced = range(len(self.directions)) if table.size else ()  # one face: no turn across
@@ -201,7 +223,7 @@ class FlatTurns:
             ends = np.flatnonzero(faces == i)
             cost = (
                 readied[:, :, None]
-                + self._cost(yaw[:, None, ends] - yaw_after[:, :, None], enough[ends])
+                + _cost(yaw[:, None, ends] - yaw_after[:, :, None], enough[ends], way)
                 + _STOP
             )
             cost = np.where((after == i)[:, :, None], cost, np.inf) + end[:, None, ends]
@@ -216,12 +238,15 @@ class FlatTurns:
         def of(values: np.ndarray) -> np.ndarray:
             return np.take_along_axis(values, at, axis=1)[:, 0]
 
-        return Plan(faces[at[:, 0]], of(first), of(ready), of(yaw), last[at[:, 0]], of(best))
-
-    def _cost(self, angle: Floats, enough: float | Floats) -> Floats:
-        """Of a turn about the axis [rad]; a little, either way, is left as it is."""
-        size = np.abs(wrapped(angle))
-        return np.where(size < enough, 0.5 * size, (self.way * angle) % (2.0 * np.pi))
+        return Plan(
+            faces[at[:, 0]],
+            of(first),
+            of(ready),
+            of(yaw),
+            last[at[:, 0]],
+            np.full(n, way),
+            of(best),
+        )
 
 
 _STOP = 0.3  # what it counts to turn about another axis [rad]
@@ -230,6 +255,7 @@ _MISSED = 4.0  # what a rad of tilt that is left counts where the object is turn
 _UNREACHED = 100.0  # what a rad that nothing makes good counts
 
 
-def wrapped(angle: Floats) -> Floats:
-    """The same angles in [-pi, pi)."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+def _cost(angle: Floats, enough: float | Floats, way: int) -> Floats:
+    """Of a turn about the axis [rad]; a little, either way, is left as it is."""
+    size = np.abs(shortest(angle))
+    return np.where(size < enough, 0.5 * size, (way * angle) % (2.0 * np.pi))

@@ -13,7 +13,14 @@ from dexctl.controller import BatchController
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitConfig
 from dexctl.hand import HandModel
-from dexctl.rotations import from_rotation_vector, inverse, multiply, rotation_vector
+from dexctl.rotations import (
+    from_rotation_vector,
+    inverse,
+    multiply,
+    rotation_vector,
+    shortest,
+    twist_angle,
+)
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Floats, GraspState
 from dexctl.switch.landing import split
@@ -242,7 +249,6 @@ def split_turn(turn: Floats, axis: Floats) -> tuple[Floats, Floats]:
         The tilt as a rotation vector across ``axis`` ``(..., 3)`` [rad], and the angle about
         ``axis`` ``(...)`` [rad], in [-pi, pi).
     """
-    angle = 2.0 * np.arctan2(turn[..., 1:] @ axis, turn[..., 0])
-    angle = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    angle = shortest(twist_angle(turn, axis))
     about = from_rotation_vector(angle[..., None] * axis)
     return rotation_vector(multiply(inverse(about), turn)), angle

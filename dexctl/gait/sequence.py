@@ -14,10 +14,10 @@ from dexctl.controller import BatchController, Controller
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.commanded import CommandedTurning
 from dexctl.gait.coordinated import CoordinatedGait
-from dexctl.gait.flat_turns import FlatTurns, Ints, Plan, wrapped
+from dexctl.gait.flat_turns import FlatTurns, Ints
 from dexctl.gait.goal import GoalGait
 from dexctl.hand import HandModel
-from dexctl.rotations import angle_between, inverse, multiply
+from dexctl.rotations import angle_between, inverse, multiply, shortest, twist_angle
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import check_mask, check_numbers, check_whole, shown_numbers, with_changes
@@ -161,11 +161,7 @@ class GoalSequence(BatchController):
             )
         # in a mirror image both turn the other way: what follows on each other is of one kind
         ways = self.turner.ways[np.abs(along) < _SQUARE]
-        self._turns = tuple(
-            FlatTurns(axes[0], lying, np.flatnonzero(ways == way), config.faces, way)
-            for way in (1, -1)
-            if (ways == way).any()
-        )
+        self._turns = FlatTurns(axes[0], lying, ways, config.faces)
         self._start(0)
 
     def _start(self, count: int) -> None:
@@ -213,7 +209,7 @@ class GoalSequence(BatchController):
     def act_batch(self, state: GraspState) -> Floats:
         goal, now, place = state.goal_quaternion, state.object_quaternion, state.object_position
         if goal is None:
-            return self._turn(state, np.broadcast_to(self._turns[0].axis, (len(state.q), 3)))
+            return self._turn(state, np.broadcast_to(self._turns.axis, (len(state.q), 3)))
         if now is None or place is None:
             raise InvalidInput(
                 "the state has a goal and no pose of the object; expected a tracked object"
@@ -242,7 +238,7 @@ class GoalSequence(BatchController):
 
     def _go_on(self, now: Floats, goal: Floats, begun: Bools) -> Floats:
         """Decide what is done next; the axes to turn about, ``(N, 3)``."""
-        config, turns, leg = self.config, self._turns[0], self._leg
+        config, turns, leg = self.config, self._turns, self._leg
         turn, wanted = multiply(now, inverse(self._flat)), multiply(goal, inverse(self._flat))
         face, tilt, yaw = turns.lies(turn)
         self._since = self._since + 1
@@ -271,8 +267,7 @@ class GoalSequence(BatchController):
         goes_on = self._axes[:, 1] >= 0
         leg = np.where(there, np.where(goes_on, int(Leg.LAST), int(Leg.GRASP)), leg)
         u = turns.across[self._axes[:, 1]]
-        rest = multiply(goal, inverse(now))
-        rest = wrapped(2.0 * np.arctan2((rest[:, 1:] * u).sum(axis=1), rest[:, 0]))
+        rest = shortest(twist_angle(multiply(goal, inverse(now)), u))
         leg = np.where((leg == Leg.LAST) & (rest < config.across_angle), int(Leg.GRASP), leg)
         self._leg = leg
         spin = self._way[:, None] * turns.axis
@@ -292,41 +287,29 @@ class GoalSequence(BatchController):
         levelled: Bools,
     ) -> None:
         """Find out what is to be done from now on."""
-        config = self.config
+        config, turns = self.config, self._turns
         turn, goal, face, tilt, yaw = turn[rows], goal[rows], face[rows], tilt[rows], yaw[rows]
-        kept, cost, plans, backs = self._way[rows], [], [], []
-        for turns in self._turns:
-            plans.append(
-                turns.plan(turn, goal, config.most_tilt, config.turn_angle, config.align_angle)
-            )
-            backs.append(turns.back(turn))
-            bound = ~in_grasp[rows] & (kept != turns.way)
-            cost.append(plans[-1].cost + np.where(bound, np.inf, 0.0))
-        side, way = np.argmin(cost, axis=0), np.array([turns.way for turns in self._turns])
-        plan = Plan(*(np.choose(side, values) for values in zip(*plans, strict=True)))
-        turns, way = self._turns[0], way[side]
+        bound = np.where(in_grasp[rows], 0, self._way[rows])
+        most, near = config.most_tilt, config.turn_angle
+        plan = turns.plan(turn, goal, bound, most, near, config.align_angle)
         across, last = plan.first >= 0, plan.last >= 0
-        far = np.abs(wrapped(turns.yaw_left(turn, plan.face, plan.yaw, way)))
+        far = np.abs(shortest(turns.yaw_left(turn, plan.face, plan.yaw, plan.way)))
         about = far > np.where(last, config.align_angle, config.turn_angle)
         leg = np.where(about, int(Leg.ABOUT), np.where(last, int(Leg.LAST), int(Leg.GRASP)))
         leg = np.where(across, int(Leg.READY), leg)
         faces = np.stack([face, plan.face], axis=1)
         axes = np.stack([plan.first, plan.last], axis=1)
-        near = angle_between(turn, goal) < config.most_tilt
+        there = angle_between(turn, goal) < most
         flat = (tilt < config.flat_tilt) | levelled[rows]
-        level = ~near & ~flat & (tilt < config.most_tilt)
-        edge = ~near & ~flat & ~level
-        faces[:, 1], axes[:, 0] = (
-            np.where(edge, np.choose(side, back), planned)
-            for back, planned in zip(
-                zip(*backs, strict=True), (faces[:, 1], axes[:, 0]), strict=True
-            )
-        )
+        level = ~there & ~flat & (tilt < most)
+        edge = ~there & ~flat & ~level
+        to, k = turns.back(turn, plan.way)
+        faces[:, 1], axes[:, 0] = np.where(edge, to, plan.face), np.where(edge, k, plan.first)
         leg = np.where(level, int(Leg.LEVEL), np.where(edge, int(Leg.ACROSS), leg))
-        leg = np.where(near, int(Leg.GRASP), leg)
+        leg = np.where(there, int(Leg.GRASP), leg)
         found = {
             "_leg": leg, "_since": 0, "_aim": multiply(turns.flat(face, yaw), self._flat[rows]),
-            "_faces": faces, "_axes": axes, "_way": way,
+            "_faces": faces, "_axes": axes, "_way": plan.way,
             "_yaws": np.stack([plan.ready, plan.yaw], axis=1),
         }  # fmt: skip
         for name, value in found.items():

@@ -16,9 +16,9 @@ from dexctl.gait import Macro
 from dexctl.grasp.odometry import ContactOdometry
 from dexctl.hand import HandModel
 from dexctl.planning.following_config import PlannedGaitChanges, PlannedGaitConfig
-from dexctl.planning.route import Indices, Route, wrapped
+from dexctl.planning.route import Indices, Route
 from dexctl.planning.tree import Tree
-from dexctl.rotations import multiply
+from dexctl.rotations import multiply, shortest
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.landing import Landing
@@ -152,14 +152,14 @@ class PlannedGait(BatchController):
         route, config, macro = self.route, self.config, self._macro
         angle = route.frame.rotation(quaternion, np.zeros(count))
         self._clock += self.control_period
-        ahead = wrapped(route.rotation[self._goal] - angle)
+        ahead = shortest(route.rotation[self._goal] - angle)
         idle = ~macro.busy if len(macro.busy) == count else np.ones(count, bool)
         there = (np.abs(ahead) < config.tolerance) | (self._clock > config.time_limit)
         due = self._fresh | (idle & there)
         if due.any():
             self._advance(np.flatnonzero(due), state, angle)
             self._fresh = np.zeros(count, bool)
-            ahead = wrapped(route.rotation[self._goal] - angle)
+            ahead = shortest(route.rotation[self._goal] - angle)
         macro.aim(position, self._landing(position, quaternion))
         speed = np.clip(config.gain * ahead, -config.speed, config.speed)
         macro.twist = np.concatenate([np.zeros((count, 3)), speed[:, None] * self.axis], axis=1)

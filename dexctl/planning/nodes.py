@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.rotations import cross, inverse, multiply, rotate
+from dexctl.rotations import cross, inverse, multiply, rotate, twist_angle
 from dexctl.sim import BatchSimulator, Scene
 from dexctl.state import Bools, Floats
 from dexctl.validation import unit_axis
@@ -114,7 +114,7 @@ class Frame:
         parent's as ``near`` it is unwrapped from node to node.
         """
         relative = multiply(quaternion, inverse(np.broadcast_to(self.quaternion, quaternion.shape)))
-        angle = 2.0 * np.arctan2(relative[..., 1:] @ self.axis, relative[..., 0])
+        angle = twist_angle(relative, self.axis)
         return angle + 2.0 * np.pi * np.round((near - angle) / (2.0 * np.pi))
 
 

@@ -9,7 +9,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.planning.metric import Metric
 from dexctl.planning.tree import Tree
-from dexctl.rotations import inverse, rotate
+from dexctl.rotations import inverse, rotate, shortest
 from dexctl.settings import from_plain
 from dexctl.sim.shapes import Shape
 from dexctl.state import Bools, Floats
@@ -18,11 +18,6 @@ from dexctl.validation import shown
 
 Indices = NDArray[np.intp]
 _MOVED = 0.004  # a finger that is put down nearer than this to where it was is not moved [m]
-
-
-def wrapped(angle: Floats) -> Floats:
-    """Angles less whole turns, from -pi to pi."""
-    return angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
 
 
 class Route:
@@ -131,7 +126,7 @@ class Route:
         frame, metric = self.frame, self._metric
         here = metric.features(q, frame.displacement(position), frame.tilt(quaternion), angle)
         apart = here[:, None, :-1] - self._grasp
-        turn = metric.rotation * wrapped(angle[:, None] - self.rotation)
+        turn = metric.rotation * shortest(angle[:, None] - self.rotation)
         return np.sqrt((apart * apart).sum(axis=-1) + turn * turn)
 
 

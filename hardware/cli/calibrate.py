@@ -21,6 +21,7 @@ from dexctl import HandModel
 from dexctl.cli.output import notes, print_json, results, table
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
+from dexctl.rotations import shortest
 from dexctl.settings import only
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
@@ -62,7 +63,7 @@ def from_poses(
     Raises:
         InvalidInput: a joint has not been moved, or zero is not between its ends.
     """
-    up, low = (_wrapped(poses[name] - poses["zero"]) for name in ("upper", "lower"))
+    up, low = (shortest(poses[name] - poses["zero"]) for name in ("upper", "lower"))
     sign = np.where(up > low, 1, -1)
     upper, lower = np.minimum(sign * up, hand.upper), np.maximum(sign * low, hand.lower)
     for i, name in enumerate(hand.joint_names):
@@ -88,7 +89,7 @@ def from_poses(
 def odd_travels(hand: HandModel, poses: dict[str, Floats]) -> list[str]:
     """Joints whose travel is not the model's: blocked, or with another joint's servo."""
     travel = np.abs(
-        _wrapped(poses["upper"] - poses["zero"]) - _wrapped(poses["lower"] - poses["zero"])
+        shortest(poses["upper"] - poses["zero"]) - shortest(poses["lower"] - poses["zero"])
     )
     expected = hand.upper - hand.lower
     return [
@@ -96,10 +97,6 @@ def odd_travels(hand: HandModel, poses: dict[str, Floats]) -> list[str]:
         for i, name in enumerate(hand.joint_names)
         if abs(travel[i] - expected[i]) > _ODD
     ]
-
-
-def _wrapped(angle: Floats) -> Floats:
-    return (angle + np.pi) % TURN - np.pi
 
 
 @dataclass(kw_only=True)

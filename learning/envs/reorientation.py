@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.rotations import angle_between, inverse, multiply
+from dexctl.rotations import angle_between, inverse, multiply, shortest, twist_angle
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import check_numbers, check_whole
 from learning.envs.goals import Goals, draw
 from learning.envs.task import Judgement, Step, Task
-from learning.envs.turning import shortest, twist_angle, uprights
+from learning.envs.turning import uprights
 
 if TYPE_CHECKING:
     from dexctl.sim import Simulation

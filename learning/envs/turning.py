@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.rotations import inverse, multiply, rotate
+from dexctl.rotations import inverse, multiply, rotate, shortest, twist_angle
 from dexctl.settings import Names, Range, Vector
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import AXES, check_name, check_numbers, check_whole, unit_axis
@@ -275,16 +275,3 @@ def tilt(quaternion: Floats, upright: Floats, axis: Floats) -> Floats:
     axis = np.broadcast_to(axis, (*relative.shape[:-1], 3))
     now = rotate(relative, axis)
     return np.arccos(np.clip((now * axis).sum(axis=-1), -1.0, 1.0))
-
-
-def twist_angle(quaternion: Floats, axis: Floats) -> Floats:
-    """The turn about ``axis``, ``(3,)`` or ``(..., 3)``: ``(...)`` [rad], in [-2 pi, 2 pi].
-
-    It is the twist of the swing-twist decomposition, so that tilting alone does not count.
-    """
-    return 2.0 * np.arctan2((quaternion[..., 1:] * axis).sum(axis=-1), quaternion[..., 0])
-
-
-def shortest(angle: Floats) -> Floats:
-    """``angle`` ``(...)`` [rad] as the shortest turn that ends in the same place, [-pi, pi)."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi

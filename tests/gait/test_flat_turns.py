@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
-from dexctl.gait.flat_turns import FlatTurns, Plan, wrapped
-from dexctl.rotations import angle_between, from_rotation_vector, inverse, multiply, rotate
+from dexctl.gait.flat_turns import FlatTurns, Plan
+from dexctl.rotations import (
+    angle_between,
+    from_rotation_vector,
+    inverse,
+    multiply,
+    rotate,
+    shortest,
+    twist_angle,
+)
 from dexctl.state import Floats
 from learning.envs.goals import CUBE
 
@@ -16,32 +25,32 @@ ACROSS = np.stack([np.cos(AZIMUTH), np.sin(AZIMUTH), 0 * AZIMUTH], axis=1)
 NONE = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def about(axis: Floats, angle: Floats) -> Floats:
-    return from_rotation_vector(np.asarray(angle)[..., None] * axis)
+def about(axis: Floats, angle: ArrayLike) -> Floats:
+    return from_rotation_vector(np.asarray(angle, float)[..., None] * axis)
 
 
 def turns(count: int = 5, way: int = 1, faces: int = 4) -> FlatTurns:
-    return FlatTurns(Z, ACROSS, np.arange(count), faces, way)
+    return FlatTurns(Z, ACROSS[:count], np.full(count, way), faces)
 
 
 def carried_out(one: FlatTurns, plan: Plan, now: Floats, goal: Floats) -> tuple[Floats, Floats]:
     """Where a plan ends if every turn is made as it says, and how far it turned in all [rad]."""
     face, _, _ = one.lies(now)
-    way = np.full(len(now), one.way)
+    way = plan.way
     first = plan.first >= 0
     k = np.maximum(plan.first, 0)
     ready = np.where(first, one.yaw_left(now, face, plan.ready, way), 0.0)
-    now = multiply(about(Z, one.way * ready), now)
+    now = multiply(about(Z, way * ready), now)
     left = np.where(first, one.across_left(now, plan.face, k), 0.0) % (2.0 * np.pi)
     now = multiply(about(one.across[k], left), now)
     reached, tilt, _ = one.lies(now)
     np.testing.assert_array_equal(reached, plan.face)
     assert tilt.max() < 1e-6  # square, or the turn across would have left a tilt
     yaw = one.yaw_left(now, plan.face, plan.yaw, way)
-    now = multiply(about(Z, one.way * yaw), now)
+    now = multiply(about(Z, way * yaw), now)
     u = one.across[np.maximum(plan.last, 0)]
     rest = multiply(goal, inverse(now))
-    last = wrapped(2.0 * np.arctan2((rest[:, 1:] * u).sum(axis=1), rest[:, 0]))
+    last = shortest(twist_angle(rest, u))
     last = np.where(plan.last >= 0, last, 0.0)
     assert last.min() > -1e-9
     assert last.max() <= one.step + 1e-9
@@ -53,7 +62,7 @@ def test_the_24_orientations_of_a_cube_are_come_to_flat(count: int, way: int) ->
     one = turns(count, way)
     assert len(one.directions) == 6
     now = np.tile(NONE, (24, 1))
-    plan = one.plan(now, CUBE, 0.45, 0.5, 0.2)
+    plan = one.plan(now, CUBE, np.zeros(len(now), int), 0.45, 0.5, 0.2)
     end, turned = carried_out(one, plan, now, CUBE)
     # a last turn that is not quite square may be nearer than one that is, for the grasp to end
     assert angle_between(end, CUBE).max() < (1e-6 if count == 1 else 0.45)
@@ -69,7 +78,7 @@ def test_most_orientations_are_come_to_but_for_what_the_grasp_makes_good() -> No
     found = {}
     for count in (1, 5):
         one = turns(count)
-        plan = one.plan(now, goal, 0.45, 0.5, 0.2)
+        plan = one.plan(now, goal, np.zeros(len(now), int), 0.45, 0.5, 0.2)
         end, _ = carried_out(one, plan, now, goal)
         found[count] = np.mean(angle_between(end, goal) < 0.65)
         lying, _, _ = one.lies(end)
@@ -83,7 +92,7 @@ def test_a_turn_that_went_a_little_too_far_is_not_made_once_more() -> None:
     one = turns(1)
     now = about(Z, np.array([0.4, 0.4]))
     goal = np.stack([NONE, about(ACROSS[0], np.array(0.8))])
-    plan = one.plan(now, goal, 0.45, 0.5, 0.2)
+    plan = one.plan(now, goal, np.zeros(len(now), int), 0.45, 0.5, 0.2)
     np.testing.assert_allclose(plan.cost[0], 0.2)
     assert plan.last[0] == plan.first[0] == -1
     assert plan.cost[1] > 1.5  # it turns on by a quarter, at least
@@ -109,7 +118,7 @@ def test_what_is_left_across_and_about() -> None:
 def test_from_an_edge_it_goes_to_the_flat_position_that_is_next_on_its_way() -> None:
     one = turns()
     now = about(ACROSS[0], np.array([0.6, 1.2]))
-    face, k = one.back(now)
+    face, k = one.back(now, np.ones(2, int))
     np.testing.assert_array_equal(k, 0)
     left = one.across_left(now, face, k)
     np.testing.assert_allclose(left, np.pi / 2 - np.array([0.6, 1.2]))
@@ -119,6 +128,6 @@ def test_an_object_with_one_flat_position_is_turned_about_the_axis_only() -> Non
     one = turns(faces=1)
     np.testing.assert_allclose(one.directions, [Z])
     now, goal = NONE[None], about(Z, np.array([1.0]))
-    plan = one.plan(now, goal, 0.45, 0.5, 0.2)
+    plan = one.plan(now, goal, np.zeros(len(now), int), 0.45, 0.5, 0.2)
     assert plan.first[0] == plan.last[0] == -1
     np.testing.assert_allclose(plan.yaw, 1.0)

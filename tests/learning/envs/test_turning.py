@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dexctl.exceptions import DexctlError
-from dexctl.rotations import from_rotation_vector, multiply
+from dexctl.rotations import from_rotation_vector, multiply, shortest, twist_angle
 from dexctl.settings import from_plain
 from dexctl.sim import SceneConfig, Simulation
 from dexctl.state import GraspState
@@ -23,9 +23,7 @@ from learning.envs.turning import (
     Turning,
     TurningConfig,
     reward,
-    shortest,
     tilt,
-    twist_angle,
 )
 
 Z = np.array([0.0, 0.0, 1.0])
