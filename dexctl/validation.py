@@ -236,10 +236,11 @@ def with_changes(
 
 
 def check_settings(kind: type, names: Iterable[str], more: Sequence[str] = ()) -> None:
-    """Raise InvalidInput where one of ``names`` is neither a field of ``kind`` nor of ``more``."""
-    known = [*more, *(field.name for field in fields(kind))]
+    """Raise InvalidInput where one of ``names`` is no field of ``kind``; it tells ``more``, too."""
+    own = [field.name for field in fields(kind)]
     for name in names:
-        if name not in known:
+        if name not in own:
+            known = [one for one in (*more, *own) if one != name]
             raise InvalidInput(
                 f"{kind.__name__} has no setting {name!r}; known keywords: {', '.join(known)}"
             )

@@ -187,6 +187,10 @@ def test_what_it_refuses(
         GoalSequence(hand, about="goal")  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="across has a control period of 0.02; expected 0.05"):
         GoalSequence(hand, across=still(hand, control_period=0.02))
+    with pytest.raises(
+        InvalidInput, match="no setting 'axis'; known keywords: control_period, speed"
+    ):
+        GoalSequence(hand, axis=(0, 0, 1))  # type: ignore[call-arg]
     blind = replace(start, goal_quaternion=start.object_quaternion, object_quaternion=None)
     with pytest.raises(InvalidInput, match="a goal and no pose"):
         sequence.act(blind)
