@@ -245,13 +245,17 @@ def get(config: Any, path: str) -> Any:
 def absolute(config: C, folder: Path) -> C:
     """``config`` with its files as absolute paths, which ``folder`` is where they are meant from.
 
-    So what is written down holds wherever it is read.
+    So what is written down holds wherever it is read. A path that may be a name too is one where
+    nothing is at that place and it has no suffix or slash.
     """
     found = {}
     for path in paths(type(config)):
         value = get(config, path)
         if isinstance(value, Path):
-            found[path] = (folder / value.expanduser()).resolve()
+            place = (folder / value.expanduser()).resolve()
+            named = path in _files_or_names(type(config)) and not is_path(str(value))
+            if place.exists() or not named:
+                found[path] = place
         elif isinstance(value, str) and is_path(value) and path in _files_or_names(type(config)):
             found[path] = str((folder / Path(value).expanduser()).resolve())
     return changed(config, found)

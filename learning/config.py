@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.settings import NESTED, changed
+from dexctl.settings import FILE_OR_NAME, NESTED, changed
 from dexctl.validation import check_whole
 from learning.algorithms.config import (
     ImitationConfig,
@@ -51,9 +51,10 @@ class TrainConfig:
     ppo: PPOConfig = PPOConfig()
     starts: Annotated[StartsConfig, NESTED] = StartsConfig()
     imitation: Annotated[ImitationConfig, NESTED] = ImitationConfig()
-    begin_from: Path | None = None
+    begin_from: Annotated[Path | None, FILE_OR_NAME] = None
     """Folder of a run whose networks this one begins with, as where ranges are drawn only once
-    the gait is there (thesis, chapter 5); none: random ones. They must be of one shape."""
+    the gait is there (thesis, chapter 5), or a policy, by name or file, whose critics are learned
+    anew (`actor_starts`); none: random ones. They must be of one shape."""
     steps: int = 1_000_000
     """Environment steps, of all environments together."""
     seed: int = 0

@@ -210,6 +210,21 @@ class Algorithm(ABC):
         kept = {name: own[name] for name in self._of_the_run}
         self.load_state_dict({**saved, **kept, "steps": 0, "updates": 0, "statistics": {}})
 
+    def begin_with(self, policy: Layers) -> None:
+        """Begin with a policy alone; what it is worth has to be learned first.
+
+        Args:
+            policy: as `policy_layers` gave them.
+
+        Raises:
+            InvalidInput: it is of another shape, or the settings leave no time to learn its worth,
+                or the algorithm needs more than a policy.
+        """
+        raise InvalidInput(
+            f"the algorithm is {self.name}, which does not begin with a policy alone; expected sac "
+            "or td3, or the folder of a run with a checkpoint"
+        )
+
     @abstractmethod
     def _state(self) -> dict[str, Any]:
         """What the algorithm has of its own in `state_dict`."""

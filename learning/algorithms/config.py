@@ -51,6 +51,9 @@ class OffPolicyConfig:
     """Steps of the returns that critics are trained with; 1 in the thesis."""
     policy_delay: int = 1
     """Updates of the critics to one of the actor."""
+    actor_starts: int = 0
+    """Steps before the first update of the actor; until then the critics learn alone what its
+    actions are worth, as those of a run that begins with a policy's file have to."""
 
     def __post_init__(self) -> None:
         check_whole(
@@ -59,6 +62,7 @@ class OffPolicyConfig:
             gradient_steps=1,
             buffer_size=1,
             learning_starts=0,
+            actor_starts=0,
             n_step=1,
             policy_delay=1,
         )
@@ -90,10 +94,13 @@ class SACConfig(OffPolicyConfig):
 
     entropy_coefficient: float = 0.0
     """Weight of the policy's entropy in value; 0 in the thesis."""
+    initial_deviation: float = 0.1
+    """First standard deviation of the actions, before the tanh, of a run that begins with a
+    policy's file, which has none."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_numbers(self, not_negative=("entropy_coefficient",))
+        check_numbers(self, positive=("initial_deviation",), not_negative=("entropy_coefficient",))
 
 
 @dataclass(frozen=True, kw_only=True)

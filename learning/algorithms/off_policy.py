@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
+from dexctl.exceptions import InvalidInput
 from learning.algorithms.base import (
     Algorithm,
     Cloning,
@@ -172,6 +173,38 @@ class OffPolicy(Algorithm):
 
     def policy_layers(self) -> Layers:
         return layers(self.networks.get("averaged_actor", self.actor), self.action_size)
+
+    def begin_with(self, policy: Layers) -> None:
+        config, d = self.config, self.action_size
+        if config.actor_starts <= config.learning_starts:
+            raise InvalidInput(
+                f"actor_starts is {config.actor_starts}; the critics of a policy alone have to "
+                f"learn before its actor does: expected more than learning_starts, "
+                f"{config.learning_starts}, such as 100000"
+            )
+        found = [policy[0][0].shape[1], *(len(bias) for _, bias in policy)]
+        own = [*self.actor.widths[:-1], d]
+        if found != own:
+            raise InvalidInput(f"the policy has layers of {found}; expected {own}")
+        with torch.no_grad():
+            for i, (weight, bias) in enumerate(policy):
+                self.actor.weights[i][0, : len(bias)] = self._tensor(weight)
+                self.actor.biases[i][0, : len(bias)] = self._tensor(bias)
+            self.actor.weights[-1][0, d:] = 0.0
+            self.actor.biases[-1][0, d:] = self._beside_the_mean()
+            for name in ("averaged_actor", "actor_target"):
+                if name in self.networks:
+                    self.networks[name].flat.copy_(self.actor.flat)
+
+    def _beside_the_mean(self) -> float:
+        """Output of an actor beside the mean action, where it begins with a policy alone."""
+        return 0.0
+
+    @property
+    def _actor_waits(self) -> bool:
+        """Whether this update is of the critics alone."""
+        config = self.config
+        return bool(self.updates % config.policy_delay) or self.steps < config.actor_starts
 
     @property
     def diverged(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import torch
@@ -23,6 +24,9 @@ class SAC(OffPolicy):
     name: ClassVar[str] = "sac"
     _outputs_per_action: ClassVar[int] = 2
     config: SACConfig
+
+    def _beside_the_mean(self) -> float:
+        return math.log(self.config.initial_deviation)
 
     def _explore(self, observation: torch.Tensor) -> torch.Tensor:
         return self._draw(observation)[0]
@@ -46,7 +50,7 @@ class SAC(OffPolicy):
             "critic_loss": self._learn_critics(batch, next_value - entropy * next_log_prob, 0.5)
         }
         target.follow(self.critic, self.config.tau)
-        if self.updates % self.config.policy_delay:
+        if self._actor_waits:
             return found
 
         action, log_prob, mean, log_std = self._draw(seen)

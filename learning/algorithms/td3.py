@@ -42,7 +42,7 @@ class TD3(OffPolicy):
             next_action = (next_action + noise).clamp_(-1.0, 1.0)
             next_value = networks["critic_target"](following[:, self._known], next_action)
         found = {"critic_loss": self._learn_critics(batch, next_value.amin(dim=0), 1.0)}
-        if self.updates % config.policy_delay:
+        if self._actor_waits:
             return found
 
         action = torch.tanh(self.actor(seen)[0])

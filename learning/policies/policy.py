@@ -111,6 +111,17 @@ class PolicySpec(NamedTuple):
                 f"got {', '.join(parts)}"
             )
 
+    def check_like(self, wanted: PolicySpec) -> None:
+        """Raise InvalidInput where the policy observes or acts otherwise than ``wanted`` says."""
+        own, other = self._settings(), wanted._settings()
+        for name in (name for name in own if own[name] != other[name]):
+            raise InvalidInput(f"the policy has {name} {own[name]}; expected {other[name]}")
+
+    def _settings(self) -> dict[str, Any]:
+        names = {"joints": self.joint_names, "fingertips": self.fingertip_names}
+        rest = {"activation": self.activation, "history": tuple(self.history)}
+        return {**names, **self.observation, **self.action, **rest}
+
 
 def other_hand(policy: Policy) -> str | None:
     """What to know where a policy acts with another hand than it was trained with.

@@ -17,6 +17,16 @@ from learning.policies import PolicySpec, save
 _VERSIONS = ("numpy", "torch", "mujoco")
 
 
+def policy_spec(
+    algorithm: Algorithm, env: ManipulationVectorEnv, config: TrainConfig
+) -> PolicySpec:
+    """What the weights of the algorithm's policy are for."""
+    return PolicySpec.of(
+        env.hand, env.observation, env.action, config.env.scene.hand, algorithm.activation,
+        env.history.steps,
+    )  # fmt: skip
+
+
 def export_policy(
     algorithm: Algorithm,
     env: ManipulationVectorEnv,
@@ -25,10 +35,6 @@ def export_policy(
     figures: Mapping[str, float],
 ) -> None:
     """Write the algorithm's policy and its card."""
-    spec = PolicySpec.of(
-        env.hand, env.observation, env.action, config.env.scene.hand, algorithm.activation,
-        env.history.steps,
-    )  # fmt: skip
     card = {
         "trained": to_plain(config),
         "hand": identity(env.hand),
@@ -39,4 +45,4 @@ def export_policy(
             **{name: version(name) for name in _VERSIONS},
         },
     }
-    save(path, algorithm.policy_layers(), spec, card)
+    save(path, algorithm.policy_layers(), policy_spec(algorithm, env, config), card)

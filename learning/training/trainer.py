@@ -15,6 +15,7 @@ import torch
 
 from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.settings import difference, from_plain, to_plain
+from learning import policies
 from learning.algorithms.base import Transitions
 from learning.config import TrainConfig
 from learning.exploration import POLICY
@@ -23,7 +24,7 @@ from learning.starts.check import check_starts
 from learning.training.build import build_algorithm, build_env, build_guide
 from learning.training.checkpoint import CheckpointError
 from learning.training.curriculum import Curriculum
-from learning.training.export import export_policy
+from learning.training.export import export_policy, policy_spec
 from learning.training.imitation import imitate
 from learning.training.interruption import interruptible
 from learning.training.log import RunLog, Tally, who_acted
@@ -36,8 +37,8 @@ Remark = Callable[[str], None]
 _MAY_CHANGE = (
     "steps", "log_every", "checkpoint_every", "overlap", "device", "torch_threads", "threads",
     "learning_rate", "learning_rate_end", "decay_start", "gradient_steps", "batch_size", "gamma",
-    "tau", "policy_average", "policy_delay", "exploration_noise", "hard_stop", "beta", "beta_end",
-    "beta_stop", "temperature", "fixed_start", "curriculum",
+    "tau", "policy_average", "policy_delay", "actor_starts", "exploration_noise", "hard_stop",
+    "beta", "beta_end", "beta_stop", "temperature", "fixed_start", "curriculum",
 )  # fmt: skip
 
 
@@ -201,21 +202,27 @@ class Trainer:
         self._observation, _ = self.env.reset(seed=self.config.seed)
 
     def begin(self) -> None:
-        """Take the networks of another run, where the configuration names one.
+        """Take the networks of another run, or a policy, where the configuration names one.
 
         Raises:
-            InvalidInput: it has no checkpoint, or networks of another shape.
+            InvalidInput: there is no such run or policy, the run has no checkpoint, the networks
+                are of another shape, or the policy is for other observations or actions.
         """
-        if self.config.begin_from is None:
+        begun = self.config.begin_from
+        if begun is None:
             return
-        other = RunFolder(self.config.begin_from)
-        saved = other.read_checkpoint()
-        if saved is None:
-            raise InvalidInput(f"begin_from is {other.path}, which has no checkpoint")
         try:
-            self.algorithm.begin_as(saved["algorithm"])
-        except (InvalidInput, KeyError) as error:
-            raise InvalidInput(f"begin_from is {other.path}: {error}") from None
+            if RunFolder.is_run(begun):
+                saved = RunFolder(begun).read_checkpoint()
+                if saved is None:
+                    raise InvalidInput("there is no checkpoint in it yet")
+                self.algorithm.begin_as(saved["algorithm"])
+            else:
+                policy = policies.load(str(begun), hand=self.env.hand)
+                policy.spec.check_like(policy_spec(self.algorithm, self.env, self.config))
+                self.algorithm.begin_with([(layer.weight, layer.bias) for layer in policy.layers])
+        except (DexctlError, KeyError) as error:
+            raise InvalidInput(f"begin_from is {begun}: {error}") from None
 
     def turn(self, pool: ThreadPoolExecutor) -> None:
         """One step of all environments, and the updates that are due."""

@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,9 @@ pytest.importorskip("torch")
 import torch
 
 from dexctl.exceptions import InvalidInput
-from dexctl.settings import changed
+from dexctl.settings import absolute, changed
 from learning import policies
+from learning.algorithms.off_policy import OffPolicy
 from learning.config import TrainConfig
 from learning.training import trainer as module
 from learning.training.checkpoint import CheckpointError
@@ -312,12 +313,77 @@ def test_a_run_that_begins_with_a_policy_acts_by_it_from_the_first_step(
     assert (acted == 0.25).all() == begins
 
 
+@pytest.mark.parametrize("algorithm", ["sac", "td3"])
+def test_a_run_may_begin_with_a_policy_whose_worth_is_learned_first(
+    algorithm: str, tmp_path: Path, small: Make
+) -> None:
+    train(small(method="rl", steps=40), tmp_path / "first")
+    begun = policies.load(tmp_path / "first")
+    config = small(
+        method="rl", algorithm=algorithm, steps=160, begin_from=tmp_path / "first" / "policy.npz",
+        **{f"{algorithm}__learning_starts": 20, f"{algorithm}__actor_starts": 80},
+    )  # fmt: skip
+    trainer = Trainer(config, RunFolder(tmp_path / "second"))
+    trainer.begin()
+    assert isinstance(trainer.algorithm, OffPolicy)
+    critics = trainer.algorithm.networks["critic"].flat.clone()
+    with ThreadPoolExecutor(1) as pool:
+        while trainer.algorithm.steps < 80:
+            trainer.turn(pool)
+        for own, other in zip(trainer.algorithm.policy_layers(), begun.layers, strict=True):
+            np.testing.assert_array_equal(own[0], other.weight)
+            np.testing.assert_array_equal(own[1], other.bias)
+        assert not torch.equal(critics, trainer.algorithm.networks["critic"].flat)
+        seen = np.zeros((trainer.env.num_envs, trainer.env.observations[0].size), np.float32)
+        drawn = np.array([trainer.algorithm.act(seen) for _ in range(200)])
+        if algorithm == "sac":  # as told, about the policy's own actions
+            off = np.arctanh(drawn) - np.arctanh(begun.predict(np.zeros(begun.observation.size)))
+            assert abs(off.std() - 0.1) < 0.01 and abs(off.mean()) < 0.01
+        while trainer.algorithm.steps < 160:
+            trainer.turn(pool)
+    assert not np.array_equal(trainer.algorithm.policy_layers()[0][0], begun.layers[0].weight)
+    trainer.close()
+
+
+def test_a_policy_to_begin_with_keeps_its_name_and_a_run_is_absolute(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    for given, expected in (
+        ("dex5-easy", Path("dex5-easy")),
+        ("run", tmp_path / "run"),
+        ("other.npz", tmp_path / "other.npz"),
+        ("runs/gone", tmp_path / "runs" / "gone"),
+    ):
+        config = changed(TrainConfig(), {"begin_from": Path(given)})
+        assert absolute(config, tmp_path).begin_from == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({}, "actor_starts is 0; .* expected more than learning_starts, "),
+        ({"sac__network": (64,)}, r"layers of .65, 256, 256, 15.; expected .65, 64, 15."),
+        ({"max_speed": 1.0}, "the policy has max_speed 2.0; expected 1.0"),
+        ({"parts": ("q", "q_target")}, "the policy has parts .*; expected .'q', 'q_target'."),
+        ({"algorithm": "ppo"}, "the algorithm is ppo, which does not begin with a policy alone"),
+    ],
+)
+def test_a_policy_that_a_run_cannot_begin_with(
+    changes: dict[str, Any], text: str, tmp_path: Path, small: Make
+) -> None:
+    starts = {} if not changes else {"sac__actor_starts": 10_000}
+    values = {"method": "rl", "begin_from": Path("dex5-cylinder"), "scaled": True}
+    config = small(**values | starts | changes)
+    with pytest.raises(InvalidInput, match=f"begin_from is dex5-cylinder: .*{text}"):
+        train(config, tmp_path / "second")
+    assert not (tmp_path / "second").exists()
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
         ({"parts": ("q", "q_target")}, "begin_from is .*first: the saved actor has layers"),
         ({"algorithm": "td3"}, "begin_from is .*first: the saved algorithm is sac; expected td3"),
-        ({"begin_from": Path("nowhere")}, "begin_from is nowhere, which has no checkpoint"),
+        ({"begin_from": Path("nowhere")}, "begin_from is nowhere: unknown policy 'nowhere'"),
     ],
 )
 def test_networks_that_do_not_fit(
