@@ -26,7 +26,7 @@ from dexctl.validation import check_kind, check_mask, check_numbers, with_change
 
 def _turning(**changes: Any) -> InGraspManipulationConfig:
     # a finger that nears its end is switched, and `most_travel` stops the object till then
-    plain = InGraspManipulationConfig(
+    plain = InGraspManipulationConfig.for_switching(
         twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.35),
         height_gain=2.0,
         centring_gain=2.0,

@@ -27,7 +27,9 @@ from dexctl.validation import check_kind, check_numbers
 class MacroConfig:
     """Settings of `Macro`."""
 
-    in_grasp: InGraspManipulationConfig = field(default_factory=InGraspManipulationConfig)
+    in_grasp: InGraspManipulationConfig = field(
+        default_factory=InGraspManipulationConfig.for_switching
+    )
     """Of in-grasp manipulation; its twist counts until `Macro.begin` gives another."""
     switch: GuardedSwitchConfig = field(default_factory=GuardedSwitchConfig)
     """Of the guarded switch."""

@@ -26,8 +26,10 @@ class InGraspManipulationConfig:
     """Set-point speed per force error (alpha of eq. dqstab) [m/(N s)]."""
     regulariser: float = 1e-3
     """Rho of the QP; pulls all forces towards the largest one."""
-    min_force: float = 0.15
-    """Least force of a holding finger, as a fraction of `grip_force`."""
+    min_force: float = 0.5
+    """Least force of a holding finger, as a fraction of `grip_force`. It must be well above the
+    force from which the hand's sensors count a touch (1 N on the thesis's): a finger that is asked
+    for less falls out of touch, and its share to the others."""
     friction: float = 0.3
     """How far a finger may push aside from the normal, towards the object's centre, as a friction
     coefficient; forces through the centre balance where normals do not. It must stay well below
@@ -93,6 +95,14 @@ class InGraspManipulationConfig:
             raise InvalidInput(f"regulariser is {self.regulariser}; expected 0, or 1e-6 and more")
         if self.engine not in ENGINES:
             raise InvalidInput(f"engine is {self.engine!r}; expected one of {', '.join(ENGINES)}")
+
+    @classmethod
+    def for_switching(
+        cls, **changes: Unpack[InGraspManipulationChanges]
+    ) -> InGraspManipulationConfig:
+        """Where fingers are lifted one after the other: those left may share forces freely."""
+        check_settings(cls, changes)
+        return replace(cls(min_force=0.15), **changes)
 
     @classmethod
     def thesis(cls, **changes: Unpack[InGraspManipulationChanges]) -> InGraspManipulationConfig:
