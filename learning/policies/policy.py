@@ -113,14 +113,14 @@ class PolicySpec(NamedTuple):
 
     def check_like(self, wanted: PolicySpec) -> None:
         """Raise InvalidInput where the policy observes or acts otherwise than ``wanted`` says."""
-        own, other = self._settings(), wanted._settings()
-        for name in (name for name in own if own[name] != other[name]):
-            raise InvalidInput(f"the policy has {name} {own[name]}; expected {other[name]}")
-
-    def _settings(self) -> dict[str, Any]:
-        names = {"joints": self.joint_names, "fingertips": self.fingertip_names}
-        rest = {"activation": self.activation, "history": tuple(self.history)}
-        return {**names, **self.observation, **self.action, **rest}
+        own, other = (
+            {**spec.observation, **spec.action, "activation": spec.activation,
+             "history": tuple(spec.history)}
+            for spec in (self, wanted)
+        )  # fmt: skip
+        for name in own:
+            if own[name] != other[name]:
+                raise InvalidInput(f"the policy has {name} {own[name]}; expected {other[name]}")
 
 
 def other_hand(policy: Policy) -> str | None:
