@@ -63,8 +63,9 @@ class CoordinatedGaitConfig:
     """Assumed by the force-closure guard."""
     hold_force: float = 0.3
     """Fingers count as holding from this normal force on [N]."""
-    residual_weight: float = 1.0
-    """What a wrench left by the others counts against a finger's travel [rad]."""
+    residual_weight: float = 2.0
+    """What a wrench left by the others counts against a finger's travel [rad]: a finger whose
+    neighbours hold by friction alone is lifted last, or the object slips while it is away."""
     residual_limit: float = 0.6
     """No finger is lifted that leaves more than this, as a share of the grip."""
 
@@ -129,6 +130,8 @@ _FEW: dict[str, Any] = {
     "pause": 0.05,
     "level": 0.5,
     "hold_force": 0.15,
+    "friction": 0.65,
+    "residual_weight": 1.0,
     "residual_limit": 1.0,  # closure alone decides: a limit leaves the object waiting for good
 }
 

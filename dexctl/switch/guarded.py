@@ -19,10 +19,12 @@ from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.config import GuardedSwitchConfig
-from dexctl.switch.landing import Landing, round_the_axis, unit_across
+from dexctl.switch.landing import Landing, round_the_axis, split, unit_across
 from dexctl.switch.paths import JointPath, SwingPaths
 
 Indices = NDArray[np.intp]
+
+_MARGIN = 0.004  # by which a carried tip stays outside where tips have touched [m]
 
 
 class Phase(IntEnum):
@@ -75,6 +77,7 @@ class GuardedSwitch:
         self._lift_tip = np.zeros((count, 3))
         self._landing = Landing(np.zeros((count, 3)), np.zeros((count, 3)))
         self._anchor = np.zeros((count, 3))
+        self._furthest = np.zeros(count)
         self._paths: dict[int, JointPath] = {}
 
     def _arrays(self) -> dict[str, np.ndarray]:
@@ -87,6 +90,7 @@ class GuardedSwitch:
             "landing_tip": self._landing.tip,
             "landing_normal": self._landing.normal,
             "anchor": self._anchor,
+            "furthest": self._furthest,
         }
 
     def state_dict(self) -> dict[str, Any]:
@@ -108,10 +112,11 @@ class GuardedSwitch:
             self._paths[int(row)] = JointPath.loaded(path)
 
     def clear(self, mask: Bools) -> None:
-        """Idle again in the hands in ``mask``."""
+        """Idle again in the hands in ``mask``; their objects may be others."""
         self.phase[mask] = Phase.IDLE
         self.finger[mask] = -1
         self.clock[mask] = 0.0
+        self._furthest[mask] = 0.0
         for row in np.flatnonzero(mask) if self._paths else ():
             self._paths.pop(int(row), None)
 
@@ -176,6 +181,7 @@ class GuardedSwitch:
             may_lift: asked at the moment of lifting with the hands and their fingers; the last
                 word on whether the others can hold the object. None: always.
         """
+        self._feel(state, now.fingertip_position, origin)
         self._advance(state, now, origin, may_lift)
         change = np.zeros_like(state.q)
         moving = np.flatnonzero((self.phase >= Phase.LIFT) & (self.phase <= Phase.PLACE))
@@ -190,6 +196,13 @@ class GuardedSwitch:
         if len(moving):
             self._follow(moving, state, now, origin, change)
         return change
+
+    def _feel(self, state: GraspState, tip: Floats, origin: Floats) -> None:
+        """Note how far from the axis tips have touched the objects since `clear`."""
+        flat = split(tip - origin[:, None], self.axis)[1]
+        held = state.in_contact & ~self.released
+        radius = np.where(held, _length(flat), 0.0).max(axis=1)
+        self._furthest = np.maximum(self._furthest, radius)
 
     # -- phases -----------------------------------------------------------------------------
 
@@ -248,7 +261,14 @@ class GuardedSwitch:
             distance = np.sqrt(((tip - above) ** 2).sum(axis=-1))
             for i in np.flatnonzero(carry & (distance > config.far_distance)):
                 row = int(busy[i])
-                path = self._swings.far(state.q[row], int(finger[i]), tip[i], above[i], origin[row])
+                path = self._swings.far(
+                    state.q[row],
+                    int(finger[i]),
+                    tip[i],
+                    above[i],
+                    origin[row],
+                    self._furthest[row] + _MARGIN,
+                )
                 if path is not None:
                     self._paths[row] = path
         for row in busy[place | lost] if self._paths else ():
@@ -302,7 +322,9 @@ class GuardedSwitch:
 
         phase = self.phase[rows]
         lift, place = phase == Phase.LIFT, phase == Phase.PLACE
-        goal = round_the_axis(tip, self._above(rows), origin[rows], self.axis)
+        # outside whatever has been touched: a corner may be on the way
+        outside = self._furthest[rows] + _MARGIN
+        goal = round_the_axis(tip, self._above(rows), origin[rows], self.axis, outside)
         # a carried finger that meets the object keeps off it
         bump = (phase == Phase.CARRY) & state.in_contact[rows, finger]
         goal[bump] -= config.clearance * state.contact_normal[rows, finger][bump]

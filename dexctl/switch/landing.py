@@ -54,10 +54,13 @@ def landing_at(origin: Floats, direction: Floats, radius: Floats) -> Landing:
     return Landing(origin + radius[..., None] * direction, -direction)
 
 
-def round_the_axis(tip: Floats, goal: Floats, origin: Floats, axis: Floats) -> Floats:
+def round_the_axis(
+    tip: Floats, goal: Floats, origin: Floats, axis: Floats, least_radius: Floats
+) -> Floats:
     """The next goal on the way from ``tip`` to ``goal`` ``(M, 3)``, a quarter radian ahead.
 
-    The way stays outside both ends until its last piece: corners stick out between two faces.
+    The way stays outside both ends and ``least_radius`` ``(M,)`` [m] until its last piece: corners
+    stick out between two faces.
     """
     height_a, flat_a = split(tip - origin, axis)
     height_b, flat_b = split(goal - origin, axis)
@@ -66,6 +69,7 @@ def round_the_axis(tip: Floats, goal: Floats, origin: Floats, axis: Floats) -> F
     angle = azimuth(flat_a, flat_b, axis)
     part = np.minimum(0.25 / np.maximum(np.abs(angle), 1e-9), 1.0)
     direction = turned(flat_a / np.maximum(radius_a, 1e-9)[:, None], part * angle, axis)
-    radius = np.where(part < 1.0, np.maximum(radius_a, radius_b), radius_b)
+    outside = np.maximum(np.maximum(radius_a, radius_b), least_radius)
+    radius = np.where(part < 1.0, outside, radius_b)
     height = height_a + part * (height_b - height_a)
     return origin + radius[:, None] * direction + height[:, None] * axis

@@ -93,13 +93,23 @@ class SwingPaths:
         return JointPath(plan.joints, plan.time, plan.q) if plan.feasible else None
 
     def far(
-        self, q: Floats, finger: int, tip: Floats, goal: Floats, origin: Floats
+        self,
+        q: Floats,
+        finger: int,
+        tip: Floats,
+        goal: Floats,
+        origin: Floats,
+        least_radius: float,
     ) -> JointPath | None:
-        """Round the axis to a far ``goal`` by inverse kinematics; None where it fails."""
+        """Round the axis to a far ``goal`` by inverse kinematics; None where it fails.
+
+        The way stays outside ``least_radius`` [m], see `round_the_axis`.
+        """
+        least = np.array([least_radius])
         joints = own_joints(self._hand, finger)
         knots, times = [q[joints]], [0.0]
         while np.linalg.norm(goal - tip) > 1e-6 and len(knots) < 30:
-            following = round_the_axis(tip[None], goal[None], origin[None], self._axis)[0]
+            following = round_the_axis(tip[None], goal[None], origin[None], self._axis, least)[0]
             found = self._ik.solve(q, finger, following)
             if not found.converged:
                 return None

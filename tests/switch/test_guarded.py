@@ -12,7 +12,7 @@ import pytest
 
 from dexctl import GraspState, HandModel
 from dexctl.exceptions import InvalidInput
-from dexctl.switch import GuardedSwitch, GuardedSwitchConfig, Phase
+from dexctl.switch import FingerIK, GuardedSwitch, GuardedSwitchConfig, Phase
 from dexctl.switch.landing import azimuth, landing_at, turned, unit_across
 from dexctl.switch.paths import SwingPaths
 
@@ -43,6 +43,7 @@ class Bench:
         self.solid = True
         self.stuck = False
         self.may_lift: Callable | None = None
+        self.corner = np.zeros(hand.n_fingers)  # m, how far the object sticks out at each finger
         self.phases: list[np.ndarray] = []
         self.actions: list[np.ndarray] = []
         self.tips: list[np.ndarray] = []
@@ -51,7 +52,7 @@ class Bench:
         tips = self.hand.fingertip_positions(self.q)
         lever = tips - self.centre[:, None]
         normal = -unit_across(lever, Z)
-        deep = self.radius + TIP_RADIUS - np.linalg.norm(lever[..., :2], axis=-1)
+        deep = self.radius + self.corner + TIP_RADIUS - np.linalg.norm(lever[..., :2], axis=-1)
         touch = (deep > 0) & self.solid
         shown = touch[..., None]
         return GraspState(
@@ -64,6 +65,15 @@ class Bench:
             contact_force=np.where(touch, STIFFNESS * deep, np.nan),
             object_position=self.centre,
         )
+
+    def put_on_a_corner(self, finger: int, corner: float) -> None:
+        """Have a finger touch so much further out [m]."""
+        tips = self.hand.fingertip_positions(self.q)
+        ik = FingerIK(self.hand)
+        out = unit_across(tips - self.centre[:, None], Z)
+        for row, tip in enumerate(tips + (corner - self.corner[finger]) * out):
+            self.q[row] = ik.solve(self.q[row], finger, tip[finger]).q
+        self.corner[finger] = corner
 
     def begin(self, finger: list[int], swing: float = SWING, lift: float = 0.0) -> None:
         fingers = np.array(finger)
@@ -152,6 +162,35 @@ def test_the_carried_finger_keeps_off_the_surface(make):
     carried = np.array(bench.phases)[:, 0] == Phase.CARRY
     gap = np.linalg.norm(np.array(bench.tips)[:, 0, 2, :2], axis=-1) - bench.radius - TIP_RADIUS
     assert gap[carried].min() > 0.6 * bench.switch.config.clearance
+
+
+def test_it_is_carried_outside_a_corner_that_another_finger_touches(make):
+    outside = []
+    for corner in (0.0, 0.01, 0.025):
+        bench = make()
+        bench.put_on_a_corner(4, corner)
+        bench.begin([2], swing=-0.7)
+        bench.run(4.0)
+        assert bench.order() == WHOLE
+        carried = np.array(bench.phases)[:, 0] == Phase.CARRY
+        radius = np.linalg.norm(np.array(bench.tips)[:, 0, 2, :2], axis=-1)
+        outside.append(float(radius[carried].max()) - bench.radius - TIP_RADIUS)
+    clearance = make().switch.config.clearance
+    assert abs(outside[0] - clearance) < 0.004  # nothing sticks out: the clearance counts
+    assert abs(outside[1] - clearance) < 0.004  # less than the clearance
+    assert outside[2] > 0.024  # past the corner, whose finger is not its neighbour
+
+
+def test_another_object_may_be_smaller(make):
+    bench = make(2)
+    bench.put_on_a_corner(4, 0.025)
+    bench.run(0.1)
+    assert bench.switch.state_dict()["furthest"].min() > bench.radius + TIP_RADIUS + 0.02
+    bench.put_on_a_corner(4, 0.0)
+    bench.switch.clear(np.array([True, False]))
+    bench.run(0.1)
+    furthest = bench.switch.state_dict()["furthest"] - bench.radius - TIP_RADIUS
+    assert abs(furthest[0]) < 0.004 and furthest[1] > 0.02
 
 
 def test_only_the_finger_moves_and_only_while_it_is_released(make):

@@ -65,15 +65,17 @@ def test_landing_is_at_the_centres_height_from_outside():
     angle=ANGLE,
     radii=st.tuples(st.floats(0.02, 0.1), st.floats(0.02, 0.1)),
     heights=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
+    least=st.floats(0.0, 0.12),
 )
-def test_the_way_round_gets_there_and_stays_outside(axis, angle, radii, heights):
+def test_the_way_round_gets_there_and_stays_outside(axis, angle, radii, heights, least):
     origin = np.array([0.01, -0.02, 0.13])
     start = frame(axis)
     tip = origin + radii[0] * start + heights[0] * axis
     goal = origin + radii[1] * turned(start, angle, axis) + heights[1] * axis
     way = [tip]
     for _ in range(30):
-        way.append(round_the_axis(way[-1][None], goal[None], origin[None], axis)[0])
+        following = round_the_axis(way[-1][None], goal[None], origin[None], axis, np.array([least]))
+        way.append(following[0])
         if np.linalg.norm(way[-1] - goal) < 1e-9:
             break
     np.testing.assert_allclose(way[-1], goal, atol=1e-9)
@@ -81,7 +83,7 @@ def test_the_way_round_gets_there_and_stays_outside(axis, angle, radii, heights)
     _, across = split(np.array(way) - origin, axis)
     radius = np.linalg.norm(across, axis=-1)
     assert radius.min() >= min(radii) - 1e-9
-    assert (radius[1:-1] >= max(radii) - 1e-9).all()
+    assert (radius[1:-1] >= max(*radii, least) - 1e-9).all()
     steps = azimuth(across[:-1], across[1:], axis)
     assert (np.abs(steps) <= 0.25 + 1e-9).all()
     assert np.isclose(steps.sum(), angle, atol=1e-6)
@@ -91,8 +93,9 @@ def test_goals_of_a_batch_are_each_their_own():
     rng = np.random.default_rng(1)
     tip, goal = rng.normal(size=(2, 6, 3)) * 0.05
     origin = rng.normal(size=(6, 3)) * 0.01
-    together = round_the_axis(tip, goal, origin, TILTED)
+    least = rng.uniform(0.0, 0.1, 6)
+    together = round_the_axis(tip, goal, origin, TILTED, least)
     for i in range(6):
         one = slice(i, i + 1)
-        alone = round_the_axis(tip[one], goal[one], origin[one], TILTED)
+        alone = round_the_axis(tip[one], goal[one], origin[one], TILTED, least[one])
         np.testing.assert_allclose(together[one], alone, atol=1e-15)

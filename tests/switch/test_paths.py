@@ -83,7 +83,7 @@ def test_a_far_path_goes_round_the_axis(dex5, q, paths, angle):
     tip, _, landing = swing(dex5, q, angle)
     goal = landing.tip - CLEARANCE * landing.normal
     origin = np.array([0.0, 0.0, 0.13])
-    path = paths.far(q, FINGER, tip, goal, origin)
+    path = paths.far(q, FINGER, tip, goal, origin, 0.0)
     assert path is not None
     np.testing.assert_allclose(path.at(0.0), q[path.joints])
     knots = tips(dex5, q, path, path.time)
@@ -98,7 +98,7 @@ def test_a_far_path_goes_round_the_axis(dex5, q, paths, angle):
 
 def test_no_far_path_out_of_reach(dex5, q, paths):
     tip, _, landing = swing(dex5, q, 0.3)
-    assert paths.far(q, FINGER, tip, landing.tip * 5.0, np.zeros(3)) is None
+    assert paths.far(q, FINGER, tip, landing.tip * 5.0, np.zeros(3), 0.0) is None
 
 
 def test_paths_are_the_same_every_time(dex5, q, paths):
@@ -106,7 +106,8 @@ def test_paths_are_the_same_every_time(dex5, q, paths):
     found = []
     for one in (paths, paths, copy.deepcopy(paths), pickle.loads(pickle.dumps(paths))):
         plan = one.planned(q, FINGER, tip, tip + RADIUS * normal, normal, landing)
-        far = one.far(q, FINGER, tip, landing.tip - CLEARANCE * landing.normal, np.zeros(3))
+        goal = landing.tip - CLEARANCE * landing.normal
+        far = one.far(q, FINGER, tip, goal, np.zeros(3), 0.0)
         assert plan is not None and far is not None
         found.append(np.concatenate([plan.q, far.q]))
     for other in found[1:]:
