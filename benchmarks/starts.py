@@ -32,7 +32,7 @@ from dexctl.settings import changed
 from dexctl.sim import SceneConfig
 from dexctl.validation import unit_axis
 from learning.config import TrainConfig, recipe
-from learning.evaluation import evaluate, open_subject
+from learning.evaluation import Subject, evaluate, open_subject
 from learning.evaluation.figures import Evaluation
 from learning.training.run_folder import RunFolder
 
@@ -67,9 +67,11 @@ TASKS = {
     "l": Task("L about z, palm up", "l_shape"),
     "l_down": Task("L about z, palm down", "l_shape", gravity="down"),
     "u": Task("U about z, palm up", "u_shape"),
+    "u_down": Task("U about z, palm down", "u_shape", gravity="down"),
 }
 METHODS = {
     "guides": Method("guide alone"),
+    "policy": Method("one policy, any way up"),
     "fi": Method("PPO, fixed start (FI)"),
     "sgs": Method("PPO, sampled grasps (SGS)", {"start_from": "grasps"}),
     "er": Method("PPO, explored restarts (ER)", {"start_from": "explored"}),
@@ -105,6 +107,8 @@ class Options(Settings):
     """Of each."""
     num_envs: int = 128
     """Environments of each training."""
+    policy: str = "dex5-shapes"
+    """Shipped policy that stands beside those trained here, by name."""
     trained_only: bool = False
     """Evaluate what has been trained, and train nothing."""
     runs: Path = Path("out/starts")
@@ -193,16 +197,49 @@ def outcome(got: Evaluation) -> dict[str, Any]:
     }
 
 
+def shipped(name: str, given: Options) -> list[dict[str, Any]]:
+    """The rows of the shipped policy."""
+    task = TASKS[name]
+    subject = open_subject(given.policy)
+    about = {"task": name, "method": "policy", "guides": [given.policy], "steps": 0}
+    return both_starts(
+        subject, name, task, about, given, object=task.object, axis=task.axis, gravity=task.gravity
+    )
+
+
+def both_starts(
+    subject: Subject,
+    name: str,
+    task: Task,
+    about: dict[str, Any],
+    given: Options,
+    **changes: Any,
+) -> list[dict[str, Any]]:
+    """What it does from the settled grasp, and from grasps that were held out."""
+    rows = []
+    for kind in ("settled", "held out"):
+        protocol = subject.protocol(
+            episodes=given.trials, seconds=given.seconds, seed=given.seed + _HELD_OUT, **changes
+        )
+        if kind == "held out":
+            scene = replace(protocol.scene, initial_states=held_out(name, task, given))
+            protocol = replace(protocol, scene=scene)
+        rows.append({**about, "from": kind, **outcome(evaluate(subject, protocol))})
+    return rows
+
+
 def measure(name: str, method: str, given: Options) -> list[dict[str, Any]]:
     """One training: its rows, none where it is not there."""
     if method == "guides":
         return guides(name, given)
+    if method == "policy":
+        return shipped(name, given)
     task = TASKS[name]
     folder = given.runs / f"{name}-{method}-{given.seed}"
     found = trained(folder, config(task, METHODS[method], given), given)
     if found is None:
         return []
-    subject, rows = open_subject(str(folder)), []
+    subject = open_subject(str(folder))
     start = found.starts.start_from
     if found.env.scene.initial_states is not None:
         start = "file"
@@ -212,15 +249,7 @@ def measure(name: str, method: str, given: Options) -> list[dict[str, Any]]:
         "start_from": start, "algorithm": found.algorithm, "guides": list(found.guides),
         "hard_stop": found.guidance.hard_stop if found.guides else None,
     }  # fmt: skip
-    for kind in ("settled", "held out"):
-        protocol = subject.protocol(
-            episodes=given.trials, seconds=given.seconds, seed=given.seed + _HELD_OUT
-        )
-        if kind == "held out":
-            scene = replace(protocol.scene, initial_states=held_out(name, task, given))
-            protocol = replace(protocol, scene=scene)
-        rows.append({**about, "from": kind, **outcome(evaluate(subject, protocol))})
-    return rows
+    return both_starts(subject, name, task, about, given)
 
 
 def line(row: dict[str, Any]) -> list[str]:
@@ -230,7 +259,7 @@ def line(row: dict[str, Any]) -> list[str]:
     return [
         TASKS[row["task"]].title,
         METHODS[row["method"]].title
-        + (f": {', '.join(row['guides'])}" if row["method"] == "guides" else ""),
+        + (f": {', '.join(row['guides'])}" if row["method"] in ("guides", "policy") else ""),
         f"{row['steps'] / 1e6:.2f}" if row["steps"] else "",
         row["from"],
         f"{turned['median']:.1f} ({low:.1f}-{high:.1f})",
@@ -247,7 +276,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         own = {
             row["method"]: row for row in rows if row["task"] == name and row["from"] == "held out"
         }
-        if len(own) < 2:  # nothing to compare yet
+        if not own:
             continue
         best = max(own.values(), key=lambda row: row["full_turn"]["share"])
         turned, least = best["rotation_rad"]["median"], 4 if task.axis == "x" else 5

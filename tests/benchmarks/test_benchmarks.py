@@ -47,7 +47,7 @@ RUNS: dict[str, list[str]] = {
     ],
     "starts.py": [
         *(*SHORT, "--steps", "300", "--ppo-steps", "300", "--num-envs", "4", "--tree-nodes", "60"),
-        *("--tasks", "sphere_x", "--methods", "rxr_ipt"),
+        *("--tasks", "l", "--methods", "rxr_ipt", "policy"),
     ],
     "algorithms.py": [
         *("--seeds", "1", "--share", "0.001", "--episodes", "2"),
