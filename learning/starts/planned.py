@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dexctl.planning import (
     ControllerMacros,
@@ -15,15 +16,45 @@ from dexctl.planning import (
     path_states,
     sample_grasps,
 )
-from dexctl.sim import Scene
+from dexctl.sim import Scene, SceneConfig
 from dexctl.sim.grasp_states import GraspStates
 from learning.envs.vector import ManipulationVectorEnv
 from learning.starts.base import Remark, Starts
 from learning.starts.config import StartsConfig
 
+if TYPE_CHECKING:
+    from learning.config import TrainConfig
+
+PLANNED = ("grasps", "paths")
+"""Names of the starts that are planned before a training."""
 _EXPANSIONS: dict[str, type[Expansion]] = {
     "kinematic": Kinematic, "controllers": ControllerMacros, "random": RandomActions,
 }  # fmt: skip
+
+
+def planned_alike(one: TrainConfig, other: TrainConfig) -> bool:
+    """Whether two trainings on the same hand would plan the same states to start from."""
+    return one.starts.start_from in PLANNED and _plan(one) == _plan(other)
+
+
+def _plan(config: TrainConfig) -> tuple[Any, ...]:
+    """All that decides them: neither what is sensed nor what is drawn for an episode does."""
+    plain, starts, scene = SceneConfig(), StartsConfig(), config.env.scene
+    scene = replace(
+        scene,
+        sensing=plain.sensing,
+        push=plain.push,
+        limits=plain.limits,
+        randomisation=plain.randomisation,
+        disturbance=plain.disturbance,
+        threads=plain.threads,
+    )
+    starts = replace(
+        config.starts,
+        explored_share=starts.explored_share,
+        gravity_steps=starts.gravity_steps,
+    )
+    return scene, starts, config.seed, tuple(config.env.task.direction)
 
 
 class PlannedStarts(Starts):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +15,7 @@ import numpy as np
 import torch
 
 from dexctl.exceptions import DexctlError, InvalidInput
+from dexctl.files import aside
 from dexctl.settings import difference, from_plain, to_plain
 from learning import policies
 from learning.algorithms.base import Transitions
@@ -21,6 +23,7 @@ from learning.config import TrainConfig
 from learning.exploration import POLICY
 from learning.starts.catalogue import make_starts
 from learning.starts.check import check_starts
+from learning.starts.planned import planned_alike
 from learning.training.build import build_algorithm, build_env, build_guide
 from learning.training.checkpoint import CheckpointError
 from learning.training.curriculum import Curriculum
@@ -69,6 +72,7 @@ def train(
         with folder.lock():
             folder.create(config)
             folder.note_hand(trainer.env.hand)
+            trainer.take_starts()
             return trainer.run(None)
     finally:
         trainer.close()
@@ -223,6 +227,24 @@ class Trainer:
                 self.algorithm.begin_with([(layer.weight, layer.bias) for layer in policy.layers])
         except (DexctlError, KeyError) as error:
             raise InvalidInput(f"begin_from is {begun}: {error}") from None
+
+    def take_starts(self) -> None:
+        """Take what was planned for the run that this one begins with, where it would be the same.
+
+        Planning takes minutes for each object.
+        """
+        begun = self.config.begin_from
+        if begun is None or not RunFolder.is_run(begun):
+            return
+        other = RunFolder(begun)
+        if (
+            other.starts_path.exists()
+            and planned_alike(self.config, other.config())
+            and other.hand_path.read_bytes() == self.folder.hand_path.read_bytes()
+        ):
+            with aside(self.folder.starts_path) as part:
+                shutil.copyfile(other.starts_path, part)
+            self._remark(f"{self.config.starts.start_from} to start from are those of {begun}")
 
     def turn(self, pool: ThreadPoolExecutor) -> None:
         """One step of all environments, and the updates that are due."""

@@ -129,6 +129,43 @@ def test_a_resumed_training_ends_with_the_same_bits(name: str, small: Make, tmp_
             np.testing.assert_array_equal(one[key], other[key], err_msg=key)
 
 
+@pytest.mark.parametrize(
+    ("changes", "alike"),
+    [
+        ({}, True),
+        ({"friction_range": (0.5, 1.0), "joint_noise": 0.01, "drop_cost": 3.0}, True),
+        ({"axis": "-z"}, False),
+        ({"object": ("cube",)}, False),
+        ({"gravity": "down"}, False),
+        ({"start_count": 4}, False),
+        ({"seed": 1}, False),
+        ({"start_from": "fixed"}, False),
+    ],
+)
+def test_a_run_that_begins_with_another_takes_what_was_planned_for_it(
+    changes: dict[str, Any], alike: bool, small: Make, tmp_path: Path
+) -> None:
+    """It planned the same states anew, for a quarter of an hour with four objects."""
+    pytest.importorskip("torch")
+    from learning.training.run_folder import RunFolder
+    from learning.training.trainer import Trainer, train
+
+    first, second = RunFolder(tmp_path / "first"), RunFolder(tmp_path / "second")
+    plans = {"start_from": "grasps", "start_count": 5, "start_seconds": 20, "method": "rl"}
+    train(small(**plans, steps=8), first.path)
+    said: list[str] = []
+    config = small(**{**plans, "steps": 8, "begin_from": first.path, **changes})
+    trainer = Trainer(config, second, remark=said.append)
+    second.create(config)
+    second.note_hand(trainer.env.hand)
+    trainer.take_starts()
+    trainer.close()
+    assert second.starts_path.exists() == alike
+    assert said == ([f"grasps to start from are those of {first.path}"] if alike else [])
+    if alike:
+        assert second.starts_path.read_bytes() == first.starts_path.read_bytes()
+
+
 def test_starts_that_do_not_hold_are_one_line(said: list[str]) -> None:
     made = env(8)
     good = settled(made)
