@@ -107,7 +107,7 @@ class Options(Settings):
     """Of each."""
     num_envs: int = 128
     """Environments of each training."""
-    policy: str = "dex5-shapes"
+    policy: str = "dex5-shapes-fast"
     """Shipped policy that stands beside those trained here, by name."""
     trained_only: bool = False
     """Evaluate what has been trained, and train nothing."""
