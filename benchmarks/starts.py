@@ -201,22 +201,21 @@ def shipped(name: str, given: Options) -> list[dict[str, Any]]:
     """The rows of the shipped policy."""
     task = TASKS[name]
     subject = open_subject(given.policy)
-    about = {"task": name, "method": "policy", "guides": [given.policy], "steps": 0}
+    about = {"task": name, "method": "policy", "policy": given.policy, "steps": 0}
     return both_starts(
-        subject, name, task, about, given, object=task.object, axis=task.axis, gravity=task.gravity
+        subject, name, about, given, object=task.object, axis=task.axis, gravity=task.gravity
     )
 
 
 def both_starts(
     subject: Subject,
     name: str,
-    task: Task,
     about: dict[str, Any],
     given: Options,
     **changes: Any,
 ) -> list[dict[str, Any]]:
     """What it does from the settled grasp, and from grasps that were held out."""
-    rows = []
+    task, rows = TASKS[name], []
     for kind in ("settled", "held out"):
         protocol = subject.protocol(
             episodes=given.trials, seconds=given.seconds, seed=given.seed + _HELD_OUT, **changes
@@ -249,17 +248,18 @@ def measure(name: str, method: str, given: Options) -> list[dict[str, Any]]:
         "start_from": start, "algorithm": found.algorithm, "guides": list(found.guides),
         "hard_stop": found.guidance.hard_stop if found.guides else None,
     }  # fmt: skip
-    return both_starts(subject, name, task, about, given)
+    return both_starts(subject, name, about, given)
 
 
 def line(row: dict[str, Any]) -> list[str]:
     """A line of the table."""
     turned = row["rotation_rad"]
     low, high = turned["bootstrap95"]
+    who = {"guides": ", ".join(row.get("guides", ())), "policy": row.get("policy")}
+    who = who.get(row["method"])
     return [
         TASKS[row["task"]].title,
-        METHODS[row["method"]].title
-        + (f": {', '.join(row['guides'])}" if row["method"] in ("guides", "policy") else ""),
+        METHODS[row["method"]].title + (f": {who}" if who else ""),
         f"{row['steps'] / 1e6:.2f}" if row["steps"] else "",
         row["from"],
         f"{turned['median']:.1f} ({low:.1f}-{high:.1f})",

@@ -131,7 +131,7 @@ _FEW: dict[str, Any] = {
     "level": 0.5,
     "hold_force": 0.15,
     "friction": 0.65,
-    "residual_weight": 1.0,
+    "residual_weight": 1.0,  # three on a sphere always leave some; 2 was not measured here
     "residual_limit": 1.0,  # closure alone decides: a limit leaves the object waiting for good
 }
 

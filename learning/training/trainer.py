@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -15,8 +14,8 @@ import numpy as np
 import torch
 
 from dexctl.exceptions import DexctlError, InvalidInput
-from dexctl.files import aside
 from dexctl.settings import difference, from_plain, to_plain
+from dexctl.sim.grasp_states import GraspStates
 from learning import policies
 from learning.algorithms.base import Transitions
 from learning.config import TrainConfig
@@ -239,11 +238,11 @@ class Trainer:
         other = RunFolder(begun)
         if (
             other.starts_path.exists()
+            and other.hand_path.exists()  # folders of earlier versions do not say
             and planned_alike(self.config, other.config())
             and other.hand_path.read_bytes() == self.folder.hand_path.read_bytes()
         ):
-            with aside(self.folder.starts_path) as part:
-                shutil.copyfile(other.starts_path, part)
+            GraspStates.load(other.starts_path).save(self.folder.starts_path)
             self._remark(f"{self.config.starts.start_from} to start from are those of {begun}")
 
     def turn(self, pool: ThreadPoolExecutor) -> None:

@@ -164,6 +164,16 @@ def test_a_run_that_begins_with_another_takes_what_was_planned_for_it(
     assert said == ([f"grasps to start from are those of {first.path}"] if alike else [])
     if alike:
         assert second.starts_path.read_bytes() == first.starts_path.read_bytes()
+        second.starts_path.unlink()
+        whole = first.starts_path.read_bytes()
+        first.starts_path.write_bytes(b"")
+        with pytest.raises(InvalidInput, match="first/starts.npz' cannot be read"):
+            trainer.take_starts()
+        assert not second.starts_path.exists()
+        first.starts_path.write_bytes(whole)
+        first.hand_path.unlink()  # as in folders of earlier versions: it may be another hand
+        trainer.take_starts()
+        assert not second.starts_path.exists()
 
 
 def test_starts_that_do_not_hold_are_one_line(said: list[str]) -> None:
