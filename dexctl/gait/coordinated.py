@@ -20,7 +20,7 @@ from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Floats, GraspState
 from dexctl.switch.config import GuardedSwitchConfig
 from dexctl.switch.guarded import GuardedSwitch, Phase
-from dexctl.switch.landing import azimuth, landing_at, split, turned
+from dexctl.switch.landing import Landing, azimuth, landing_at, split, turned
 from dexctl.validation import check_kind, check_mask, check_numbers, with_changes
 
 
@@ -234,6 +234,7 @@ class CoordinatedGait(BatchController):
             "neutral": self._neutral,
             "height": self._height,
             "wait": self._wait,
+            "radius": self._radius,
             "direction": self._direction,
         }
 
@@ -300,6 +301,7 @@ class CoordinatedGait(BatchController):
         firm = state.in_contact & (state.contact_force > self.config.hold_force)
         grasps = Grasps(point, normal, state.in_contact, firm, origin)
         self._begin(grasps, angle, flat)
+        self._aim(origin, angle, flat)
 
         def may_lift(rows: np.ndarray, finger: np.ndarray) -> np.ndarray:
             return holds_without(grasps.of(rows), finger, self.config.friction)
@@ -370,6 +372,7 @@ class CoordinatedGait(BatchController):
         self._neutral = np.zeros((count, self.hand.n_fingers, 3))
         self._height = np.zeros((count, self.hand.n_fingers))
         self._wait = np.zeros(count)
+        self._radius = np.zeros(count)  # of the landing under way, from the axis
         self._direction = np.ones(count)
         return self._fresh
 
@@ -393,16 +396,28 @@ class CoordinatedGait(BatchController):
         )
         if not choice.found.any():
             return
-        rows = np.arange(len(busy))
         begin = np.zeros(len(busy), bool)
         finger = np.zeros(len(busy), int)
         begin[ready], finger[ready] = choice.found, choice.finger
-        aim = np.zeros(len(busy))
-        aim[ready] = landing[np.arange(len(ready)), choice.finger]
+        rows = np.arange(len(busy))
+        self._radius[begin] = np.sqrt((flat[rows, finger] ** 2).sum(axis=-1))[begin]
+        self.switch.begin(
+            begin, finger, grasps.origin, self._landing(finger, grasps.origin, angle, flat)
+        )
+
+    def _aim(self, origin: Floats, angle: Floats, flat: Floats) -> None:
+        """Keep landings off the fingers behind them, which come on with the object meanwhile."""
+        if (self.switch.phase != Phase.IDLE).any():
+            finger = self.switch.finger
+            self.switch.aim(origin, self._landing(finger, origin, angle, flat))
+
+    def _landing(self, finger: np.ndarray, origin: Floats, angle: Floats, flat: Floats) -> Landing:
+        """Where ``finger`` ``(N,)`` is to come down as the hands are now."""
+        rows = np.arange(len(finger))
+        aim = self._landings(angle, flat, self._direction)[rows, finger]
         direction = turned(self._neutral[rows, finger], self._direction * aim, self.axis)
-        radius = np.sqrt((flat[rows, finger] ** 2).sum(axis=-1))
-        middle = grasps.origin + self._height[rows, finger, None] * self.axis
-        self.switch.begin(begin, finger, grasps.origin, landing_at(middle, direction, radius))
+        middle = origin + self._height[rows, finger, None] * self.axis
+        return landing_at(middle, direction, self._radius)
 
     def _level(self, landed: np.ndarray, lever: Floats) -> None:
         """Have fingers that just landed come down nearer to the centre's height the next time."""

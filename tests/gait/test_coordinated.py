@@ -78,6 +78,19 @@ def test_carried_fingers_do_not_knock_against_the_corners_of_a_cube() -> None:
     assert (np.nan_to_num(force) > 0.3).mean() < 0.005  # 0.045 where they passed within reach
 
 
+def test_fingers_land_clear_of_the_ones_behind_that_came_on_meanwhile(cylinder) -> None:
+    """A tip that comes down on another one touches no object, and is given up in the air."""
+    done = trace(cylinder, 20.0, swing=1.2)  # as far back as there is room
+    phase = done.diagnostics["phase"]
+    assert len(starts(phase, Phase.LOAD)) > 35
+    assert not ((phase[:-1] == Phase.PLACE) & (phase[1:] == Phase.IDLE)).any()
+
+
+def test_a_u_is_turned_past_the_gap_between_its_legs() -> None:
+    done = trace(Scene.build("dex5", "u_shape", "up"), 30.0)
+    assert not done.dropped.any() and (done.final_rotation > 2.0).all()
+
+
 def test_turns_the_other_way_too(cylinder):
     back = InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, -0.35))
     found = trace(cylinder, 8.0, in_grasp=back)
