@@ -300,8 +300,7 @@ class CoordinatedGait(BatchController):
         point = np.where(state.in_contact[..., None], state.contact_position, tip)
         firm = state.in_contact & (state.contact_force > self.config.hold_force)
         grasps = Grasps(point, normal, state.in_contact, firm, origin)
-        self._begin(grasps, angle, flat)
-        self._aim(origin, angle, flat)
+        self._switch(grasps, angle, flat)
 
         def may_lift(rows: np.ndarray, finger: np.ndarray) -> np.ndarray:
             return holds_without(grasps.of(rows), finger, self.config.friction)
@@ -376,40 +375,42 @@ class CoordinatedGait(BatchController):
         self._direction = np.ones(count)
         return self._fresh
 
-    def _begin(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
-        """Start switches where none is under way and a finger can be spared."""
+    def _switch(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
+        """Begin switches where a finger can be spared; keep all landings off the fingers behind.
+
+        Those come on with the object while a finger is in the air: a landing that stayed where it
+        was would be on the neighbour's tip by the time it is reached.
+        """
+        begin, chosen = self._spared(grasps, angle, flat)
+        finger = np.where(begin, chosen, self.switch.finger)
+        if (finger < 0).all():
+            return
+        across = flat[begin, chosen[begin]]
+        self._radius[begin] = np.sqrt((across * across).sum(axis=-1))
+        landing = self._landing(finger, grasps.origin, angle, flat)
+        self.switch.aim(grasps.origin, landing)
+        self.switch.begin(begin, finger, grasps.origin, landing)
+
+    def _spared(self, grasps: Grasps, angle: Floats, flat: Floats) -> tuple[np.ndarray, np.ndarray]:
+        """In which hands a switch is to begin ``(N,)``, and of which finger ``(N,)``."""
         config = self.config
         busy = self.switch.phase != Phase.IDLE
+        begin, finger = np.zeros(len(busy), bool), np.zeros(len(busy), int)
         self._wait = np.where(busy, config.pause, self._wait - self.control_period)
         ready = np.flatnonzero(~busy & (self._wait <= 0.5 * self.control_period))
-        if not len(ready):
-            return
-        landing = self._landings(angle[ready], flat[ready], self._direction[ready])
-        choice = choose(
-            grasps.of(ready),
-            angle[ready] - landing,
-            least_travel=config.least_travel,
-            residual_weight=config.residual_weight,
-            residual_limit=config.residual_limit,
-            push_friction=config.in_grasp.friction,
-            friction=config.friction,
-        )
-        if not choice.found.any():
-            return
-        begin = np.zeros(len(busy), bool)
-        finger = np.zeros(len(busy), int)
-        begin[ready], finger[ready] = choice.found, choice.finger
-        rows = np.arange(len(busy))
-        self._radius[begin] = np.sqrt((flat[rows, finger] ** 2).sum(axis=-1))[begin]
-        self.switch.begin(
-            begin, finger, grasps.origin, self._landing(finger, grasps.origin, angle, flat)
-        )
-
-    def _aim(self, origin: Floats, angle: Floats, flat: Floats) -> None:
-        """Keep landings off the fingers behind them, which come on with the object meanwhile."""
-        if (self.switch.phase != Phase.IDLE).any():
-            finger = self.switch.finger
-            self.switch.aim(origin, self._landing(finger, origin, angle, flat))
+        if len(ready):
+            landing = self._landings(angle[ready], flat[ready], self._direction[ready])
+            choice = choose(
+                grasps.of(ready),
+                angle[ready] - landing,
+                least_travel=config.least_travel,
+                residual_weight=config.residual_weight,
+                residual_limit=config.residual_limit,
+                push_friction=config.in_grasp.friction,
+                friction=config.friction,
+            )
+            begin[ready], finger[ready] = choice.found, choice.finger
+        return begin, finger
 
     def _landing(self, finger: np.ndarray, origin: Floats, angle: Floats, flat: Floats) -> Landing:
         """Where ``finger`` ``(N,)`` is to come down as the hands are now."""
