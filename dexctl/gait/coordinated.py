@@ -20,7 +20,7 @@ from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Floats, GraspState
 from dexctl.switch.config import GuardedSwitchConfig
 from dexctl.switch.guarded import GuardedSwitch, Phase
-from dexctl.switch.landing import Landing, azimuth, landing_at, split, turned
+from dexctl.switch.landing import azimuth, landing_at, split, turned
 from dexctl.validation import check_kind, check_mask, check_numbers, with_changes
 
 
@@ -54,6 +54,9 @@ class CoordinatedGaitConfig:
     spacing: float = 0.036
     """Fingers land at least this far, round the object, from the one behind them [m]: one that
     comes down on its neighbour touches nothing else and pushes it off the object."""
+    follow: bool = True
+    """Whether landings follow the object until the tip touches. They keep `spacing` from the finger
+    behind, which comes on with the object, in any case."""
     level: float = 0.0
     """Share of the height by which a finger touched above or below the object's centre that is
     made up where it next lands: fingertips that are not round do not touch at their tip point."""
@@ -70,7 +73,9 @@ class CoordinatedGaitConfig:
     """No finger is lifted that leaves more than this, as a share of the grip."""
 
     def __post_init__(self) -> None:
-        check_kind(self, in_grasp=InGraspManipulationConfig, switch=GuardedSwitchConfig)
+        check_kind(
+            self, in_grasp=InGraspManipulationConfig, switch=GuardedSwitchConfig, follow=bool
+        )
         check_numbers(
             self,
             positive=("most_travel", "slow_down", "friction", "residual_limit"),
@@ -128,6 +133,7 @@ _FEW: dict[str, Any] = {
     "most_travel": 0.33,
     "slow_down": 0.1,
     "pause": 0.05,
+    "follow": False,  # following it lost cubes: 4 of 16 more on the LEAP, 5 on the Shadow hand
     "level": 0.5,
     "hold_force": 0.15,
     "friction": 0.65,
@@ -146,6 +152,7 @@ class CoordinatedGaitChanges(TypedDict, total=False):
     most_travel: float
     slow_down: float
     spacing: float
+    follow: bool
     level: float
     pause: float
     friction: float
@@ -234,6 +241,7 @@ class CoordinatedGait(BatchController):
             "neutral": self._neutral,
             "height": self._height,
             "wait": self._wait,
+            "aim": self._aim,
             "radius": self._radius,
             "direction": self._direction,
         }
@@ -371,7 +379,8 @@ class CoordinatedGait(BatchController):
         self._neutral = np.zeros((count, self.hand.n_fingers, 3))
         self._height = np.zeros((count, self.hand.n_fingers))
         self._wait = np.zeros(count)
-        self._radius = np.zeros(count)  # of the landing under way, from the axis
+        # of the landing under way: where round the axis, as `azimuth`, and how far from it
+        self._aim, self._radius = np.zeros(count), np.zeros(count)
         self._direction = np.ones(count)
         return self._fresh
 
@@ -387,8 +396,14 @@ class CoordinatedGait(BatchController):
             return
         across = flat[begin, chosen[begin]]
         self._radius[begin] = np.sqrt((across * across).sum(axis=-1))
-        landing = self._landing(finger, grasps.origin, angle, flat)
-        self.switch.aim(grasps.origin, landing)
+        rows = np.arange(len(finger))
+        place = self._landings(angle, flat, self._direction)[rows, finger]
+        aimed = ~begin & (self.config.follow | (place > self._aim))
+        self._aim = np.where(begin | aimed, place, self._aim)
+        direction = turned(self._neutral[rows, finger], self._direction * self._aim, self.axis)
+        middle = grasps.origin + self._height[rows, finger, None] * self.axis
+        landing = landing_at(middle, direction, self._radius)
+        self.switch.aim(grasps.origin, landing, aimed)
         self.switch.begin(begin, finger, grasps.origin, landing)
 
     def _spared(self, grasps: Grasps, angle: Floats, flat: Floats) -> tuple[np.ndarray, np.ndarray]:
@@ -411,14 +426,6 @@ class CoordinatedGait(BatchController):
             )
             begin[ready], finger[ready] = choice.found, choice.finger
         return begin, finger
-
-    def _landing(self, finger: np.ndarray, origin: Floats, angle: Floats, flat: Floats) -> Landing:
-        """Where ``finger`` ``(N,)`` is to come down as the hands are now."""
-        rows = np.arange(len(finger))
-        aim = self._landings(angle, flat, self._direction)[rows, finger]
-        direction = turned(self._neutral[rows, finger], self._direction * aim, self.axis)
-        middle = origin + self._height[rows, finger, None] * self.axis
-        return landing_at(middle, direction, self._radius)
 
     def _level(self, landed: np.ndarray, lever: Floats) -> None:
         """Have fingers that just landed come down nearer to the centre's height the next time."""

@@ -155,12 +155,13 @@ class GuardedSwitch:
         self._landing.normal[mask] = landing.normal[mask]
         self._anchor[mask] = origin[mask]
 
-    def aim(self, origin: Floats, landing: Landing) -> None:
+    def aim(self, origin: Floats, landing: Landing, mask: Bools | None = None) -> None:
         """Let the switches under way come down elsewhere than `begin` said, N rows each.
 
-        Landings that turn with the object are given anew at each step; `origin` as in `begin`.
+        Landings that turn with the object are given anew at each step; `origin` as in `begin`,
+        ``mask`` the hands that are meant, ``(N,)``; None: all.
         """
-        mask = self.phase != Phase.IDLE
+        mask = (self.phase != Phase.IDLE) & (True if mask is None else mask)
         self._landing.tip[mask] = landing.tip[mask]
         self._landing.normal[mask] = landing.normal[mask]
         self._anchor[mask] = origin[mask]
