@@ -308,7 +308,7 @@ class CoordinatedGait(BatchController):
         point = np.where(state.in_contact[..., None], state.contact_position, tip)
         firm = state.in_contact & (state.contact_force > self.config.hold_force)
         grasps = Grasps(point, normal, state.in_contact, firm, origin)
-        self._switch(grasps, angle, flat)
+        self._begin_and_aim(grasps, angle, flat)
 
         def may_lift(rows: np.ndarray, finger: np.ndarray) -> np.ndarray:
             return holds_without(grasps.of(rows), finger, self.config.friction)
@@ -384,7 +384,7 @@ class CoordinatedGait(BatchController):
         self._direction = np.ones(count)
         return self._fresh
 
-    def _switch(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
+    def _begin_and_aim(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
         """Begin switches where a finger can be spared; keep all landings off the fingers behind.
 
         Those come on with the object while a finger is in the air: a landing that stayed where it

@@ -78,12 +78,28 @@ def test_carried_fingers_do_not_knock_against_the_corners_of_a_cube() -> None:
     assert (np.nan_to_num(force) > 0.3).mean() < 0.005  # 0.045 where they passed within reach
 
 
-def test_fingers_land_clear_of_the_ones_behind_that_came_on_meanwhile(cylinder) -> None:
+@pytest.mark.parametrize("follow", [True, False])
+def test_fingers_land_clear_of_the_ones_behind_that_came_on_meanwhile(cylinder, follow) -> None:
     """A tip that comes down on another one touches no object, and is given up in the air."""
-    done = trace(cylinder, 20.0, swing=1.2)  # as far back as there is room
+    done = trace(cylinder, 20.0, swing=1.2, follow=follow)  # as far back as there is room
     phase = done.diagnostics["phase"]
     assert len(starts(phase, Phase.LOAD)) > 35
     assert not ((phase[:-1] == Phase.PLACE) & (phase[1:] == Phase.IDLE)).any()
+
+
+@pytest.mark.parametrize("follow", [True, False])
+def test_landings_follow_the_object_only_where_they_are_to(cylinder, follow) -> None:
+    state = BatchSimulator(cylinder, 1).read()
+    gait = CoordinatedGait(cylinder.hand, least_travel=0.0, spacing=0.0, follow=follow)
+    before = None
+    while before is None:
+        gait.act(state)
+        in_air = gait.switch.phase[0] == Phase.UNLOAD
+        before = gait.switch.state_dict()["landing_tip"] if in_air else None
+    moved = replace(state, object_position=state.object_position + np.array([0.0, 0.0, 0.004]))
+    gait.act(moved)
+    after = gait.switch.state_dict()["landing_tip"]
+    np.testing.assert_allclose(after - before, [[0.0, 0.0, 0.004 * follow]], atol=1e-12)
 
 
 def test_a_u_is_turned_past_the_gap_between_its_legs() -> None:
@@ -300,7 +316,7 @@ def test_landings_make_up_for_the_height_by_which_a_finger_missed_the_centre(cub
     )
     gait.switch.clear(np.ones(2, bool))
     gait._wait[:] = 0.0
-    gait._begin(grasps, angle, flat)
+    gait._begin_and_aim(grasps, angle, flat)
     assert gait.switch.finger.tolist() == [1, 1]
     landing = gait.switch.state_dict()["landing_tip"]
     np.testing.assert_allclose((landing - grasps.origin)[:, 2], [-0.02, 0.0], atol=1e-12)
