@@ -273,12 +273,11 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     """How far the surest policy of each task turns, and what planned starts are worth."""
     found = []
     for name, task in TASKS.items():
-        own = {
-            row["method"]: row for row in rows if row["task"] == name and row["from"] == "held out"
-        }
-        if not own:
+        all_own = [row for row in rows if row["task"] == name and row["from"] == "held out"]
+        if not all_own:
             continue
-        best = max(own.values(), key=lambda row: row["full_turn"]["share"])
+        own = {row["method"]: row for row in all_own}
+        best = max(all_own, key=lambda row: row["full_turn"]["share"])
         turned, least = best["rotation_rad"]["median"], 4 if task.axis == "x" else 5
         found.append(
             Figure(
@@ -325,10 +324,10 @@ def main() -> None:
     check_chosen("task", given.tasks, TASKS)
     check_chosen("method", given.methods, METHODS)
     rows = earlier("starts", given)
-    done = {(row["task"], row["method"]) for row in rows}
+    done = {(row["task"], row["method"], row.get("policy")) for row in rows}
     for name in given.tasks:
         for method in given.methods:
-            if (name, method) in done:
+            if (name, method, given.policy if method == "policy" else None) in done:
                 continue
             more = [{**row, "time_s": given.seconds} for row in measure(name, method, given)]
             rows += more
