@@ -251,15 +251,20 @@ def measure(name: str, method: str, given: Options) -> list[dict[str, Any]]:
     return both_starts(subject, name, about, given)
 
 
+def whose(row: dict[str, Any]) -> str:
+    """Whose row it is, in words."""
+    names = {"guides": ", ".join(row.get("guides") or ()), "policy": row.get("policy")}
+    name = names.get(row["method"])
+    return METHODS[row["method"]].title + (f": {name}" if name else "")
+
+
 def line(row: dict[str, Any]) -> list[str]:
     """A line of the table."""
     turned = row["rotation_rad"]
     low, high = turned["bootstrap95"]
-    who = {"guides": ", ".join(row.get("guides", ())), "policy": row.get("policy")}
-    who = who.get(row["method"])
     return [
         TASKS[row["task"]].title,
-        METHODS[row["method"]].title + (f": {who}" if who else ""),
+        whose(row),
         f"{row['steps'] / 1e6:.2f}" if row["steps"] else "",
         row["from"],
         f"{turned['median']:.1f} ({low:.1f}-{high:.1f})",
@@ -277,12 +282,14 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         if not all_own:
             continue
         own = {row["method"]: row for row in all_own}
-        best = max(all_own, key=lambda row: row["full_turn"]["share"])
+        best = max(
+            all_own, key=lambda row: (row["full_turn"]["share"], row["rotation_rad"]["median"])
+        )
         turned, least = best["rotation_rad"]["median"], 4 if task.axis == "x" else 5
         found.append(
             Figure(
                 f"{task.title}: rotation in {best['time_s']:g} s from starts held out, "
-                f"{METHODS[best['method']].title}",
+                f"{whose(best)}",
                 f"median {turned:.1f} rad, {best['dropped']['count']} of {best['dropped']['of']} "
                 "dropped",
                 f"{least} turns ({least * FULL_TURN:.1f} rad)",
