@@ -55,8 +55,8 @@ class CoordinatedGaitConfig:
     """Fingers land at least this far, round the object, from the one behind them [m]: one that
     comes down on its neighbour touches nothing else and pushes it off the object."""
     follow: bool = True
-    """Whether landings follow the object until the tip touches. They keep `spacing` from the finger
-    behind, which comes on with the object, in any case."""
+    """Whether landings follow the object until the tip touches, not only until it lifts. They keep
+    `spacing` from the finger behind, which comes on with the object, in any case."""
     level: float = 0.0
     """Share of the height by which a finger touched above or below the object's centre that is
     made up where it next lands: fingertips that are not round do not touch at their tip point."""
