@@ -74,6 +74,8 @@ class ControllerEntry:
         keyword: that takes what stands after the name and a colon; "": none does.
         wanted: what that is, ...
         others: ... and whether it is other controllers, with commas between.
+        follows: what of a state tells it what is wanted, beside the axis that it is made for; None:
+            nobody knows.
     """
 
     name: str
@@ -84,6 +86,7 @@ class ControllerEntry:
     keyword: str = ""
     wanted: str = "FILE"
     others: bool = False
+    follows: tuple[str, ...] | None = None
 
     def load(self) -> Callable[..., Controller]:
         """The controller's class, or what another package registered in its place.
@@ -104,6 +107,7 @@ _CONTROLLERS = {
             description="turns the object with all fingers, without letting go (psi_IGM)",
             module="dexctl.igm",
             attribute="InGraspManipulation",
+            follows=(),
         ),
         ControllerEntry(
             name="switch",
@@ -111,6 +115,7 @@ _CONTROLLERS = {
             description="lifts one finger after the other and puts it back (psi_CS)",
             module="dexctl.switch",
             attribute="ContactSwitch",
+            follows=(),
         ),
         ControllerEntry(
             name="gait",
@@ -118,6 +123,7 @@ _CONTROLLERS = {
             description="the thesis gait: both at once, the finger chosen at random (psi_FG)",
             module="dexctl.gait",
             attribute="FingerGaiting",
+            follows=(),
         ),
         ControllerEntry(
             name="coordinated",
@@ -125,6 +131,7 @@ _CONTROLLERS = {
             description="gaiting that chooses finger and moment, and keeps the grasp closed",
             module="dexctl.gait",
             attribute="CoordinatedGait",
+            follows=(),
         ),
         ControllerEntry(
             name="goal",
@@ -132,6 +139,7 @@ _CONTROLLERS = {
             description="brings the object to a goal orientation: gaits about one axis, then tilts",
             module="dexctl.gait",
             attribute="GoalGait",
+            follows=("goal_quaternion", "goal_angular_velocity"),
         ),
         ControllerEntry(
             name="steered",
@@ -142,6 +150,7 @@ _CONTROLLERS = {
             keyword="turner",
             wanted="NAME",
             others=True,
+            follows=("goal_quaternion",),
         ),
         ControllerEntry(
             name="sequence",
@@ -152,6 +161,7 @@ _CONTROLLERS = {
             keyword="turners",
             wanted="ABOUT,ACROSS",
             others=True,
+            follows=("goal_quaternion",),
         ),
         ControllerEntry(
             name="commanded",
@@ -162,6 +172,7 @@ _CONTROLLERS = {
             keyword="turners",
             wanted="NAME,...",
             others=True,
+            follows=("goal_angular_velocity",),
         ),
         ControllerEntry(
             name="planned",
@@ -170,6 +181,7 @@ _CONTROLLERS = {
             module="dexctl.planning.following",
             attribute="PlannedGait",
             keyword="tree",
+            follows=(),
         ),
         ControllerEntry(
             name="hold",
@@ -177,6 +189,7 @@ _CONTROLLERS = {
             description="keeps the set-points, for comparison",
             module="dexctl.controllers",
             attribute="Hold",
+            follows=(),
         ),
     )
 }

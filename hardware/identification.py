@@ -24,10 +24,13 @@ STEP = 0.002
 """Of the fit's simulation [s]."""
 LONGEST = 0.3
 """Latency looked for [s]."""
+EXPLAINED = 0.005
+"""Greatest residual of a joint that moves as the model says [rad]; a chirp leaves under 0.001, and
+joints that push at an object 0.01 and more."""
 _LEAST_MOTION = 0.01  # rad that a joint's set-point must have moved for its dynamics to show
 _TAIL = 0.5  # s after the last change of a set-point that still tell something
 _LEAST_TORQUE = 1e-6  # N m
-_EXPLAINED = 0.8  # share of the torque's variance that the servo's law must explain
+_OF_TORQUE = 0.8  # share of the torque's variance that the servo's law must explain
 # of the search, per joint: log k/I [1/s^2], log c/k [s], log f/k [rad], latency [s], offset [rad],
 # log s [rad/s]
 _LOWER = np.array([np.log(1.0), np.log(1e-4), np.log(1e-5), 0.0, -1.0, np.log(1e-5)])
@@ -64,6 +67,14 @@ class JointDynamics(NamedTuple):
     residual: Floats
     measured_torque: Bools
 
+    @property
+    def explained(self) -> Bools:
+        """Joints that moved as the model says, ``(d,)``: only there it tells more than the torque.
+
+        What the measured torque gives, stiffness and latency, holds of the others too.
+        """
+        return np.nan_to_num(self.residual, nan=np.inf) <= EXPLAINED
+
 
 class Fit(NamedTuple):
     """What was fitted, and how well.
@@ -85,7 +96,8 @@ class Fit(NamedTuple):
 def identify(log: Log) -> Fit:
     """Fit the joints' dynamics to the ticks in which a controller ran.
 
-    The hand is best empty: what an object does to the fingers is taken for their dynamics.
+    The hand is best empty: what an object does to the fingers is no part of the model, so that of a
+    gait only what the measured torque tells can be trusted (`JointDynamics.explained`).
 
     Raises:
         InvalidInput: the log holds no run, or no joint moved.
@@ -265,7 +277,7 @@ def _servo_laws(samples: _Samples, velocity: Floats, torque: Floats) -> _ServoLa
             wanted = torque[good, j]
             if len(wanted) < _FEWEST or wanted.std() < _LEAST_TORQUE:
                 continue
-            best = (1.0 - _EXPLAINED) * wanted.var()
+            best = (1.0 - _OF_TORQUE) * wanted.var()
             for lane, late in enumerate(lanes[:, j]):
                 behind = reference[good, lane, j] - samples.q[good, j]
                 columns = np.stack([behind, -velocity[good, j], np.ones(len(behind))], axis=1)

@@ -120,6 +120,17 @@ class TrainConfig:
             raise InvalidInput(
                 f"start_from is {start!r} and initial_states is {file}; expected one of them"
             )
+        draws = self.env.scene.randomisation
+        if start == "gravity" and draws.draws_gravity:
+            raise InvalidInput(
+                "start_from is 'gravity', which scales gravity, and gravity_tilt or "
+                "gravity_turning_range draws it for each episode; expected one of them"
+            )
+        if start in ("grasps", "paths") and draws.size_range is not None:
+            raise InvalidInput(
+                f"start_from is {start!r}, whose grasps are of one size, and size_range is "
+                f"{draws.size_range}; expected one of them"
+            )
         imitated = self.imitation.imitated
         if imitated != "none" and self.algorithm != "ppo":
             raise InvalidInput(

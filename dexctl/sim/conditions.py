@@ -47,13 +47,18 @@ def under(config: SceneConfig, *conditions: str) -> SceneConfig:
         InvalidInput: the file is no toml, or a value is out of range.
     """
     for name in conditions:
-        config = changed(config, _settings(name), "" if name in CONDITIONS else name)
+        if name in CONDITIONS:
+            config = changed(config, CONDITIONS[name])
+            continue
+        try:
+            config = changed(config, _settings(name), name)
+        except InvalidInput as error:
+            said = str(error)
+            raise InvalidInput(said if name in said else f"{name}: {said}") from None
     return config
 
 
 def _settings(name: str) -> Mapping[str, Any]:
-    if name in CONDITIONS:
-        return CONDITIONS[name]
     path = Path(name).expanduser()
     if path.suffix != ".toml":
         raise UnknownName("conditions", name, [*CONDITIONS, "a .toml file"])

@@ -198,7 +198,10 @@ def _checked(scene: Scene, name: str, value: ArrayLike, count: int) -> Floats:
     if name not in PARAMETERS:
         raise UnknownName("parameter", name, PARAMETERS)
     parameter = PARAMETERS[name]
-    values = np.asarray(value, float)
+    try:
+        values = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} is {value!r}; expected numbers") from None
     width = {"": (), "joint": (scene.hand.nq,), "axis": (3,)}[parameter.per]
     shapes = [(count, 3)] if parameter.per == "axis" else [(), (count,), (count, *width)]
     if values.shape not in shapes:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.limits import HandLimits
+from dexctl.limits import LONGEST_LATENCY, HandLimits
 from dexctl.rotations import cross
 from dexctl.settings import Range
 from dexctl.sim.pushes import Push
@@ -63,7 +63,8 @@ class Randomisation:
     """Time from a set-point to its effect [s]."""
     noise_range: Range | None = None
     """All noises of the sensors, the encoders' offsets among them, as a share of their standard
-    deviations."""
+    deviations. Only a range follows the level, from no noise on: 1,1 draws nothing, and lets the
+    noise grow in a curriculum."""
     sensor_latency_range: Range | None = None
     """How old what is sensed is, rounded to control steps [s]."""
     touch_threshold_range: Range | None = None
@@ -96,6 +97,12 @@ class Randomisation:
             raise InvalidInput(
                 f"gravity_straight_share is {self.gravity_straight_share}; expected 0 to 1"
             )
+        for name in ("action_latency_range", "sensor_latency_range"):
+            given = getattr(self, name)
+            if given is not None and given[1] > LONGEST_LATENCY:
+                raise InvalidInput(
+                    f"{name} is {given}; expected latencies up to {LONGEST_LATENCY:g} s"
+                )
         if self.touch_dropout_range is not None and self.touch_dropout_range[1] > 1:
             raise InvalidInput(
                 f"touch_dropout_range is {self.touch_dropout_range}; expected shares, 0 to 1"
@@ -252,7 +259,8 @@ class Randomiser:
 
     Attributes:
         level: how much of the ranges is used, from 0 (everything nominal) to 1, in the episodes
-            to come. A limit that is infinite in the scene counts as the range's high end there.
+            to come. A limit that is infinite in the scene counts as the range's high end there, and
+            a range of noises begins with none.
         drawn: what holds now.
         usual, streams: as given.
     """
@@ -313,6 +321,8 @@ class Randomiser:
         if name in _SHARES:
             return nominal * (1.0 + self.level * (low + (high - low) * uniform - 1.0))
         usual = np.where(np.isfinite(nominal), nominal, high)
+        if name == "noise":  # a level below one is to be easier, and noise as it is set is not
+            usual = np.zeros_like(usual)
         return usual + self.level * (low + (high - low) * uniform - usual)
 
     def _tilted(self, gravity: Floats, height: Floats, azimuth: Floats, straight: Floats) -> Floats:

@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from dexctl.exceptions import InvalidInput
 from dexctl.joint_touch import JointTouch
+from dexctl.limits import LONGEST_LATENCY
 from dexctl.settings import NESTED
 from dexctl.sim.dead_reckoning import DeadReckoning
 from dexctl.state import Bools, Floats, GraspState
@@ -56,7 +58,7 @@ class Sensing:
     touch_threshold: float = 0.05
     """Weakest normal force that counts as touch [N]."""
     sensor_latency: float = 0.0
-    """How old what is sensed is, rounded to control steps [s]."""
+    """How old what is sensed is, rounded to control steps [s], at most 10."""
 
     def __post_init__(self) -> None:
         check_name("touch", self.touch, TOUCHES)
@@ -65,6 +67,10 @@ class Sensing:
         kinds = ("touch", "joint_touch", "object_pose")
         names = tuple(one.name for one in fields(self) if one.name not in kinds)
         check_numbers(self, not_negative=names)
+        if self.sensor_latency > LONGEST_LATENCY:
+            raise InvalidInput(
+                f"sensor_latency is {self.sensor_latency}; expected 0 to {LONGEST_LATENCY:g} s"
+            )
 
     @property
     def noisy(self) -> bool:

@@ -197,6 +197,11 @@ class Simulation:
             raise InvalidInput("gravity is drawn for each episode; it cannot be scaled besides")
         self.sim.set_parameters(gravity=share * self.randomiser.usual.gravity)
 
+    @property
+    def joint_offset(self) -> Floats:
+        """What each encoder reads at zero in this episode, ``(N, d)`` [rad]."""
+        return np.broadcast_to(self._sensor.offset, (self.num_envs, self.hand.nq))
+
     def read(self) -> GraspState:
         """What the sensors tell, ``(N,)``; the same however often it is asked within a step."""
         if self._unseen is None or self._unseen.any():

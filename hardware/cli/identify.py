@@ -18,7 +18,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.files import aside, write_text
 from dexctl.hands.identity import identity
 from dexctl.state import Floats
-from hardware.identification import Fit, JointDynamics, identify
+from hardware.identification import EXPLAINED, Fit, JointDynamics, identify
 from hardware.log import Log, read_log
 
 RANGES, FIGURES, PICTURE = "ranges.toml", "identification.json", "identification.png"
@@ -28,9 +28,9 @@ RANGES, FIGURES, PICTURE = "ranges.toml", "identification.json", "identification
 class Identify:
     """Fit gains, friction, latency and inertia of each joint to a log.
 
-    The log is best one of `dexctl hardware run chirp`, which moves the empty hand. What is found is
-    written as ranges too, with which policies can be trained and tested: `dexctl evaluate
-    --conditions ranges.toml`.
+    The log is best one of `dexctl hardware run chirp`, which moves the empty hand; of fingers that
+    hold an object only stiffness and latency can be told. What is found is written as ranges too,
+    with which policies can be trained and tested: `dexctl evaluate --conditions ranges.toml`.
     """
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
@@ -62,6 +62,7 @@ class Identify:
             "joints": names,
             **{name: _listed(value) for name, value in fit.dynamics._asdict().items()},
             "armature": _listed(armature),
+            "explained": fit.dynamics.explained.tolist(),
             "ranges": {name: list(value) for name, value in ranges.items()},
         }
         write_text(folder / FIGURES, to_json(said) + "\n")
@@ -102,7 +103,9 @@ def ranges_of(
     """Ranges of `dexctl.sim.Randomisation` that hold what was found.
 
     Each goes from the least joint to the greatest and, beyond, half of that spread each way, at
-    least a fifth of the middle: one log of one hand is not all that there is.
+    least a fifth of the middle: one log of one hand is not all that there is. Joints that the model
+    does not explain count for stiffness and latency only, where the measured torque tells those;
+    what no joint tells is left out.
 
     Args:
         hand: whose file has the damping of the joints.
@@ -116,19 +119,23 @@ def ranges_of(
     model = lean_model(hand_spec(hand).spec, hand)
     columns = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
     damping = float(run["damping_nms_per_rad"]) + model.dof_damping[columns]
-    return {
-        "stiffness_range": _range(found.stiffness / float(run["stiffness_nm_per_rad"])),
-        "damping_range": _range(found.damping / damping),
-        "gear_friction_range": _range(found.friction),
-        "armature_range": _range(armature),
-        "action_latency_range": _range(found.latency),
+    explained = found.explained
+    told = explained | found.measured_torque
+    every = {
+        "stiffness_range": (found.stiffness / float(run["stiffness_nm_per_rad"]), told),
+        "damping_range": (found.damping / damping, explained),
+        "gear_friction_range": (found.friction, explained),
+        "armature_range": (armature, explained),
+        "action_latency_range": (found.latency, told),
     }
+    return {name: _range(values[good]) for name, (values, good) in every.items() if good.any()}
 
 
 def _range(values: Floats) -> tuple[float, float]:
-    low, high = np.nanmin(values), np.nanmax(values)
+    low, high = values.min(), values.max()
     room = max(0.5 * (high - low), 0.1 * (high + low))
-    return float(max(low - room, 0.0)), float(high + room)
+    # half of the least is above zero where that is: a servo without stiffness is none
+    return float(max(low - room, 0.5 * low)), float(high + room)
 
 
 def toml_of(ranges: Mapping[str, tuple[float, float]], source: str) -> str:
@@ -172,15 +179,27 @@ def _show(names: list[str], found: JointDynamics, armature: Floats) -> None:
     }
     shown = table("joint", *columns, right=columns, gap=1)
     shown.add_row("", *(unit for unit, _ in columns.values()))
+    torque_tells = ("stiffness", "latency", "residual")
     for j, name in enumerate(names):
         if np.isnan(found.stiffness[j]):
             shown.add_row(name, "did not", "move")
-        else:
-            shown.add_row(name, *(f"{value[j]:.3g}" for _, value in columns.values()))
+            continue
+        known = [found.explained[j] or what in torque_tells for what in columns]
+        pairs = zip(columns.values(), known, strict=True)
+        shown.add_row(name, *(f"{value[j]:.3g}" if ok else "-" for (_, value), ok in pairs))
     results().print(shown)
-    if not found.measured_torque[np.isfinite(found.stiffness)].all():
+    moved = np.isfinite(found.stiffness)
+    if not found.measured_torque[moved].all():
         results().print(
             "where the measured torque tells nothing, the stiffness is what the servos were told"
+        )
+    if not found.explained[moved].all():
+        results().print(
+            f"{int((moved & ~found.explained).sum())} joints moved otherwise than a mass behind a "
+            f"servo does (residual above {1e3 * EXPLAINED:g} mrad), as where fingers hold an "
+            "object: only stiffness and latency are told of them; a chirp of the empty hand tells "
+            "the rest",
+            soft_wrap=True,
         )
 
 

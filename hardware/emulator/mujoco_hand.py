@@ -38,8 +38,9 @@ class MujocoHand(Joints):
     It starts in the settled grasp or in one of the given states, or open where it holds nothing.
 
     Args:
-        scene: the hand and its one object, or "none". Gains and limits are the servos', and the
-            fingertips tell of the weakest touch: what counts is for whoever reads them.
+        scene: the hand and its one object, or "none". Gains and limits are the servos', but that
+            ranges of stiffness and damping make them other than they are told; and the fingertips
+            tell of the weakest touch: what counts is for whoever reads them.
         seed: of the scene's random streams.
 
     Attributes:
@@ -68,6 +69,15 @@ class MujocoHand(Joints):
         self._kp = np.full(len(self.q), float(physics.stiffness[0]))
         self._kv = np.zeros(len(self.q))
         self._gains: tuple[float, float] | None = None
+        # what ranges made of the gains in this run, as shares of those that servos are told
+        draws = self._sim.randomiser
+        self._kp_share, self._kv_share = (
+            np.where(usual > 0, drawn / np.where(usual > 0, usual, 1.0), 1.0)
+            for drawn, usual in (
+                (draws.drawn.kp[0], draws.usual.kp[0]),
+                (draws.drawn.kv[0], draws.usual.kv[0]),
+            )
+        )
         self.supported = not self._empty
         self._held_at = self._object_pose()
         self._pressed = self._grasped = 0.0
@@ -125,19 +135,20 @@ class MujocoHand(Joints):
         same = (c.kp[driven] == kp).all() and (c.kd[driven] == kd).all()
         if same and kp > 0 and (kp, kd) != self._gains:
             self._gains = (kp, kd)
-            self._sim.sim.set_parameters(kp=kp, kv=kd)
-            self._kp[:], self._kv[:] = kp, kd
+            self._kp, self._kv = kp * self._kp_share, kd * self._kv_share
+            self._sim.sim.set_parameters(kp=self._kp[None], kv=self._kv[None])
 
     def _set_points(self) -> Floats:
         """Set-points ``(d,)`` [rad] at which the actuators make the torques of the servos."""
         c, q, v, kp, kv = self.commands, self.q, self.velocity, self._kp, self._kv
-        torque = np.clip(c.kp * (self.reference - q) - c.kd * v, -c.limit, c.limit)
+        own_kp, own_kd = c.kp * self._kp_share, c.kd * self._kv_share
+        torque = np.clip(own_kp * (self.reference - q) - own_kd * v, -c.limit, c.limit)
         torque = np.where(c.mode == OperatingMode.CURRENT, c.goal_torque, torque)
         torque = np.where(c.mode == OperatingMode.PWM, c.duty * STALL_TORQUE, torque)
         asked = q + (torque + kv * v) / kp
         position = (c.mode != OperatingMode.CURRENT) & (c.mode != OperatingMode.PWM)
         within = np.abs(kp * (self.reference - q) - kv * v) <= c.limit
-        plain = position & within & (c.kp == kp) & (c.kd == kv)
+        plain = position & within & (own_kp == kp) & (own_kd == kv)
         # dry friction of the gears: the anchor follows only a joint that is pulled hard enough
         room = GEAR_FRICTION / kp
         self._anchor = np.where(c.torque_on, q, np.clip(self._anchor, q - room, q + room))

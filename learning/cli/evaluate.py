@@ -13,6 +13,7 @@ from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.output import notes, print_json, progress
 from dexctl.cli.parsing import Switch, said
 from dexctl.exceptions import InvalidInput
+from dexctl.limits import HandLimits
 from dexctl.settings import NESTED
 from learning.evaluation.protocol import Protocol
 
@@ -41,9 +42,9 @@ class Evaluate:
     """A policy by name, a policy file (.npz), a run folder, or the name of a controller."""
     protocol: Annotated[Protocol, NESTED] = field(default_factory=Protocol)
     conditions: tuple[str, ...] = ()
-    """Named ranges and limits in place of the protocol's: nominal, limits (of a real hand),
-    everything (that is uncertain of one), any-gravity; several add up. Or a .toml of settings.
-    What is typed beside them counts."""
+    """Named ranges and limits in place of those of the training: nominal (none), limits (of a real
+    hand), everything (that is uncertain of one), any-gravity; several add up. Or a .toml of
+    settings. What is typed beside them counts."""
     transfer: tuple[str, ...] = ()
     """Policies instead of one, of an object each (cube=POLICY if no card says); gives R_ij/R_ii.
     --object has further ones."""
@@ -70,7 +71,10 @@ class Evaluate:
         hand = before.protocol.scene.hand if "hand" in names else None
         subjects = [one.subject for one in before._trained(hand)]
         protocol = as_trained(subjects, names)
-        return cls(protocol=replace(protocol, scene=under(protocol.scene, *before.conditions)))
+        scene = protocol.scene
+        if before.conditions:  # in place of those that the policy was trained with
+            scene = under(replace(scene, limits=HandLimits()), *before.conditions)
+        return cls(protocol=replace(protocol, scene=scene))
 
     def run(self) -> int:
         from learning.cli.evaluate_output import (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -61,11 +62,13 @@ class Train:
             raise MissingExtra("dexctl train", "learning")
         from learning.training.trainer import resume, train
 
-        config = self.config
+        config, new = self.config, False
         if self.resume is None:
             config = absolute(config, Path.cwd())  # it may be resumed from another folder
             config.env.scene.check_objects()
-            folder = make_folder(self.out or self._folder())
+            wanted = (self.out or self._folder()).expanduser()
+            new = not wanted.exists()
+            folder = make_folder(wanted)
         else:
             folder = self.resume.expanduser()
             before = to_plain(replace(_config_of(folder), steps=config.steps))
@@ -73,10 +76,15 @@ class Train:
             if other is not None:
                 raise InvalidInput(f"with --resume, only --steps may be given: {other}")
         with _Bar(config.steps) as bar:
-            bar.remark(f"the run is kept in {folder}")
             if self.resume is None:
-                found = train(config, folder, report=bar.show, remark=bar.remark)
+                try:
+                    found = train(config, folder, report=bar.show, remark=bar.remark)
+                finally:
+                    if new:
+                        with suppress(OSError):  # it holds a run, but where that never began
+                            folder.rmdir()
             else:
+                bar.remark(f"the run is kept in {folder}")
                 found = resume(folder, config.steps, report=bar.show, remark=bar.remark)
         if self.json:
             print_json({"command": "train", "folder": str(folder), **found})

@@ -43,10 +43,10 @@ class EnvConfig:
     history: tuple[int, ...] = ()
     """What the policy observed so many control steps ago is observed beside it: 1 4, say."""
     critic_parts: tuple[str, ...] = ()
-    """What the critics observe beside it, without noise: any of these parts, and object_velocity,
-    fingertip_force (net force of each on the object) and drawn (what randomisation drew for the
-    episode). The thesis has nothing here with SAC; with PPO, object_position, object_quaternion,
-    object_velocity and fingertip_force."""
+    """What the critics observe beside it, without noise: any other of these parts, and
+    object_velocity, fingertip_force (net force of each on the object), joint_offset (what encoders
+    read at zero) and drawn (what randomisation drew for the episode). The thesis has nothing here
+    with SAC; with PPO, object_position, object_quaternion, object_velocity and fingertip_force."""
     scaled: bool = False
     """Whether observations are brought to about unit size; the thesis has them in SI units."""
 
@@ -56,25 +56,21 @@ class EnvConfig:
         check_parts(self.parts)
         check_steps(self.history)
         seen = (*self.parts, *self.critic_parts)
+        twice = [name for name in self.critic_parts if name in self.parts]
+        if twice:
+            raise InvalidInput(
+                f"critic_parts has {', '.join(twice)}, and critics see what is in parts already; "
+                "expected others"
+            )
+        if self.critic_parts:
+            check_names(self.critic_parts, "critic_parts")
         check_parts([name for name in seen if name not in TRUTH])
-        check_names(seen)
         self._check_goals(seen)
 
     def _check_goals(self, seen: tuple[str, ...]) -> None:
         """Whoever is to reach goals must see them; and nobody sees those that there are not."""
-        goals, commands = self.task.goals, self.task.turning.commands
-        turning = goals == NO_GOALS
+        goals = self.task.goals
         for name in seen:
-            if name in (ORIENTATIONS if turning else (TURNING,)):
+            if name in (ORIENTATIONS if goals == NO_GOALS else (TURNING,)):
                 raise InvalidInput(f"parts has {name}, and goals is {goals!r}, where there is none")
-        told, why = (
-            ((TURNING,), f"commands is {', '.join(commands)}")
-            if turning
-            else (ORIENTATIONS, f"goals is {goals!r}")
-        )
-        varies = bool(commands) if turning else goals != "root"
-        if varies and not set(told) & set(self.parts):
-            raise InvalidInput(
-                f"{why}, and parts is {', '.join(self.parts)}, which does not tell what is wanted; "
-                f"expected {' or '.join(told)} among them"
-            )
+        self.task.check_told(self.parts)

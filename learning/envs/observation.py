@@ -41,6 +41,7 @@ DEFAULT_PARTS = ("q", "q_target", "contact_position", "contact_normal", "contact
 # What is about 1 in a scaled observation.
 _LENGTH_SCALE = 0.05  # [m]
 _FORCE_SCALE = 2.0  # [N]
+_OFFSET_SCALE = 0.05  # [rad]
 _VELOCITY_SCALE = np.repeat([0.05, 0.5], 3)  # [m/s], [rad/s]
 
 
@@ -122,6 +123,8 @@ class Observation:
             return (value - self.centre) * state.in_contact[..., None] / _LENGTH_SCALE
         if name == "object_position":
             return (value - self.centre) / _LENGTH_SCALE
+        if name == JOINT_OFFSET:
+            return value / _OFFSET_SCALE
         if name == OBJECT_VELOCITY:
             return value / _VELOCITY_SCALE
         return value / _FORCE_SCALE if name in ("contact_force", FINGERTIP_FORCE) else value
@@ -206,7 +209,8 @@ def _goal_rotation(state: GraspState) -> Floats | None:
 
 DRAWN = "drawn"
 OBJECT_VELOCITY, FINGERTIP_FORCE = "object_velocity", "fingertip_force"
-TRUTH = (DRAWN, OBJECT_VELOCITY, FINGERTIP_FORCE)
+JOINT_OFFSET = "joint_offset"
+TRUTH = (DRAWN, OBJECT_VELOCITY, FINGERTIP_FORCE, JOINT_OFFSET)
 """The parts that only critics have; `learning.envs.truth` reads them from the simulation."""
 
 PARTS: dict[str, Part] = {
@@ -242,15 +246,15 @@ TURNING = "goal_angular_velocity"
 """The part that tells how the object is wanted to turn."""
 
 
-def check_names(parts: Sequence[str]) -> tuple[str, ...]:
-    """The names as a tuple.
+def check_names(parts: Sequence[str], what: str = "parts") -> tuple[str, ...]:
+    """The names as a tuple; ``what`` is the setting that has them.
 
     Raises:
         InvalidInput: no part, or one named twice.
     """
     names = (parts,) if isinstance(parts, str) else tuple(parts)
     if not names or len(set(names)) < len(names):
-        raise InvalidInput(f"parts is {names}; expected one or more, each named once")
+        raise InvalidInput(f"{what} is {names}; expected one or more, each named once")
     return names
 
 

@@ -16,7 +16,7 @@ from dexctl.hand import HandModel
 from dexctl.rotations import cross
 from dexctl.state import Floats
 from dexctl.symmetry import HandSymmetry, symmetries
-from learning.envs.observation import FINGERTIP_FORCE, OBJECT_VELOCITY, Observation
+from learning.envs.observation import FINGERTIP_FORCE, JOINT_OFFSET, OBJECT_VELOCITY, Observation
 
 _TOLERANCE = 1e-6
 Turned = Callable[[HandSymmetry, Floats], Floats]
@@ -59,6 +59,7 @@ _TURNED: dict[str, Turned] = {
     "goal_angular_velocity": HandSymmetry.of_turnings,
     OBJECT_VELOCITY: _velocities,
     FINGERTIP_FORCE: _points,
+    JOINT_OFFSET: HandSymmetry.of_joints,
 }
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
+from dexctl.exceptions import InvalidInput
 from dexctl.settings import NESTED, Vector
 from dexctl.validation import check_name, check_numbers
 from learning.envs.goals import GOALS
+from learning.envs.observation import ORIENTATIONS, TURNING
 from learning.envs.reorientation import Reorientation, ReorientationConfig
 from learning.envs.turning import Turning, TurningConfig
 
@@ -50,6 +53,25 @@ class TaskConfig:
     def direction(self) -> tuple[float, float, float]:
         """``axis`` as a unit vector."""
         return self.turning.direction
+
+    @property
+    def tells(self) -> tuple[str, ...]:
+        """Parts of an observation, each of which tells what is wanted; () where that is one."""
+        if self.goals == NO_GOALS:
+            return (TURNING,) if self.turning.commands else ()
+        return () if self.goals == "root" else ORIENTATIONS
+
+    def check_told(self, parts: Collection[str], what: str = "parts is") -> None:
+        """Raise InvalidInput where none of ``parts``, introduced so, tells what is wanted."""
+        if not self.tells or set(self.tells) & set(parts):
+            return
+        turning = self.goals == NO_GOALS
+        commands = ", ".join(self.turning.commands)
+        why = f"commands is {commands}" if turning else f"goals is {self.goals!r}"
+        raise InvalidInput(
+            f"{why}, and {what} {', '.join(parts) or 'nothing'}, which does not tell what is "
+            f"wanted; expected {' or '.join(self.tells)} among them"
+        )
 
     def build(self, simulation: Simulation) -> Task:
         """The task in these environments."""

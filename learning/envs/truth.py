@@ -1,4 +1,4 @@
-"""What only critics observe: velocity, fingertips' forces, and what was drawn for an episode."""
+"""What only critics observe: velocity, forces, encoders' offsets, what an episode drew."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from dexctl.sim.randomisation import Drawn
 from dexctl.sim.simulation import Simulation
 from dexctl.state import Floats
-from learning.envs.observation import DRAWN, FINGERTIP_FORCE, OBJECT_VELOCITY, Part
+from learning.envs.observation import DRAWN, FINGERTIP_FORCE, JOINT_OFFSET, OBJECT_VELOCITY, Part
 
 # what brings each to about unit size, from the value where nothing is drawn
 _SCALES = {
@@ -35,9 +35,10 @@ def truth_parts(simulation: Simulation) -> Mapping[str, Part]:
     """The parts of `TRUTH`: of the simulation itself, which no sensor tells.
 
     The object's velocity ``(N, 6)`` [m/s, rad/s] and the net force of each fingertip on it
-    ``(N, 3 m)`` [N], in the world's frame (both in the thesis's critic, chapter 5); and what holds
-    in each episode, as deviations from what usually does. Gravity is a part of its own there, the
-    motors' inertia is left out, and a limit that there is not counts as not deviating.
+    ``(N, 3 m)`` [N], in the world's frame (both in the thesis's critic, chapter 5); what the
+    encoders read at zero ``(N, d)`` [rad]; and what holds in each episode, as deviations from what
+    usually does. Gravity is a part of its own there, the motors' inertia is left out, and a limit
+    that there is not counts as not deviating.
     """
     sim, usual = simulation.sim, simulation.randomiser.usual
     size = features(usual, usual).shape[1]
@@ -45,6 +46,7 @@ def truth_parts(simulation: Simulation) -> Mapping[str, Part]:
         DRAWN: Part(lambda d, m: size, lambda state: features(simulation.randomiser.drawn, usual)),
         OBJECT_VELOCITY: Part(lambda d, m: 6, lambda state: sim.object_velocity),
         FINGERTIP_FORCE: Part(lambda d, m: 3 * m, lambda state: sim.fingertip_force),
+        JOINT_OFFSET: Part(lambda d, m: d, lambda state: simulation.joint_offset),
     }
 
 

@@ -97,7 +97,7 @@ class Subject:
 
         Raises:
             InvalidInput: a policy for another hand, for an axis that cannot be turned to this one,
-                or trained with another control period.
+                or trained with another control period; goals or commands that it does not see.
         """
         scene = protocol.scene
         if isinstance(self.controller, Policy):
@@ -109,7 +109,14 @@ class Subject:
                     raise InvalidInput(
                         f"{what} is {asked}; the policy {self.name!r} was trained with {own}"
                     )
+            protocol.task.check_told(
+                self.controller.observation.parts, f"the policy {self.name!r} sees"
+            )
             return self.controller.turned_to(protocol.task.direction)
+        if controllers.is_named(self.name):
+            follows = controllers.entry(self.name).follows
+            if follows is not None:
+                protocol.task.check_told(follows, f"the controller {self.name!r} follows")
         hand = self.controller.hand if scene.hand == self.hand else hands.load(scene.hand)
         return controllers.resolve(
             self.name, hand, control_period=scene.control_period, axis=protocol.task.direction

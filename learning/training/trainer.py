@@ -71,6 +71,8 @@ def train(
         with folder.lock():
             folder.create(config)
             folder.note_hand(trainer.env.hand)
+            if remark is not None:
+                remark(f"the run is kept in {path}")
             trainer.take_starts()
             return trainer.run(None)
     finally:

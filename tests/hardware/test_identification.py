@@ -13,6 +13,7 @@ import pytest
 from dexctl import HandModel
 from dexctl.cli import main
 from dexctl.exceptions import InvalidInput
+from dexctl.settings import changed
 from dexctl.sim.conditions import under
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
@@ -38,8 +39,12 @@ class Samples(NamedTuple):
 
 @pytest.fixture(scope="module")
 def chirp(dex5: HandModel) -> Samples:
+    return chirped(dex5, replace(EMPTY, gear_friction=FRICTION))
+
+
+def chirped(dex5: HandModel, scene: SceneConfig) -> Samples:
     """What the servos of the MuJoCo hand did, read as their encoders tell it."""
-    joints = MujocoHand(replace(EMPTY, gear_friction=FRICTION))
+    joints = MujocoHand(scene)
     c = joints.commands
     c.torque_on[:], c.kp[:], c.kd[:] = True, STIFFNESS, DAMPING
     c.limit[:], c.speed[:] = TORQUE, SPEED
@@ -69,6 +74,14 @@ def test_hidden_values_are_found(chirp: Samples) -> None:
     assert (joints.residual < 0.001).all()
     seen = found.moving
     assert np.abs(found.computed - found.q)[seen].max() < 0.01
+
+
+def test_gains_that_are_not_what_was_told_are_found(dex5: HandModel) -> None:
+    hidden = {"stiffness_range": (0.8, 0.8), "gear_friction_range": (FRICTION, FRICTION)}
+    samples = chirped(dex5, changed(EMPTY, hidden))
+    joints = fit(*samples, speed_limit=SPEED, torque_limit=TORQUE, told=TOLD).dynamics
+    np.testing.assert_allclose(joints.stiffness, 0.8 * STIFFNESS, rtol=0.1)
+    np.testing.assert_allclose(joints.friction, FRICTION, rtol=0.2)
 
 
 def test_without_measured_torque_the_gains_are_what_was_told(chirp: Samples) -> None:
@@ -146,6 +159,28 @@ def test_the_command_writes_ranges_to_train_with(
     assert main(["hardware", "identify", str(path), "--out", str(tmp_path / "there")]) == 0
     shown = capsys.readouterr().out
     assert "f5_flexion2" in shown and "N m/rad" in shown
+
+
+def test_fingers_that_something_stops_tell_stiffness_and_latency_only(
+    dex5: HandModel, chirp: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As an object does to fingers: joints stop, and servos press."""
+    stop = chirp.q[0] + 0.02
+    stopped = np.minimum(chirp.q, stop)
+    torque = chirp.torque + STIFFNESS * (chirp.q - stopped)
+    path = tmp_path / "run.mcap"
+    velocity = np.where(chirp.q > stop, 0.0, chirp.velocity)
+    pressed = chirp._replace(q=stopped, velocity=velocity, torque=np.clip(torque, -0.49, 0.49))
+    write_log(path, pressed, list(dex5.joint_names))
+    assert main(["hardware", "identify", str(path)]) == 0
+    assert "15 joints moved otherwise than a mass behind a servo does" in capsys.readouterr().out
+    said = json.loads((tmp_path / "identification.json").read_text())
+    assert not any(said["explained"])
+    assert set(said["ranges"]) == {"stiffness_range", "action_latency_range"}
+    found = under(SceneConfig(), str(tmp_path / "ranges.toml")).randomisation
+    assert found.stiffness_range is not None and found.action_latency_range is not None
+    assert found.stiffness_range[0] < STIFFNESS / TOLD < found.stiffness_range[1]
+    assert np.mean(found.action_latency_range) == pytest.approx(LATENCY, abs=0.02)
 
 
 def test_logs_that_tell_nothing(

@@ -44,6 +44,7 @@ def test_a_file(tmp_path: Path) -> None:
         ("mass = 1", "unknown setting of .*mine.toml 'mass'; known: hand"),
         ("object_mass = 'x'", "object_mass is 'x'; expected a number"),
         ("object_mass", "is not TOML"),
+        ("friction_range = [1.4, 0.6]", "mine.toml: friction_range is .* the lower one first"),
         (None, "cannot read .*: No such file"),
     ],
 )

@@ -130,5 +130,7 @@ def test_shapes_that_do_not_fit(cylinder: Scene) -> None:
         sim.set_parameters(kp=np.ones((4, 2)))
     with pytest.raises(InvalidInput, match=r"object_size is 0.0; expected finite numbers > 0"):
         sim.set_parameters(object_size=0.0)
+    with pytest.raises(InvalidInput, match=r"centre_of_mass is 'a'; expected numbers"):
+        sim.set_parameters(centre_of_mass="a")
     with pytest.raises(InvalidInput, match=r"gravity is nan; expected finite numbers"):
         sim.set_parameters(gravity=np.full((4, 3), np.nan))

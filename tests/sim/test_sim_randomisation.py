@@ -119,14 +119,24 @@ def test_level_narrows_ranges_towards_what_is_usual(cylinder: Scene) -> None:
     made.level = 0.0
     made.draw(np.ones(500, bool))
     for name in Drawn._fields:
-        if name not in ("speed_limit", "torque_limit"):
+        if name not in ("speed_limit", "torque_limit", "noise"):
             np.testing.assert_allclose(getattr(made.drawn, name), getattr(usual, name), atol=1e-12)
     assert set(made.drawn.speed_limit) == {3.0}  # no limit is the range's high end
+    assert not made.drawn.noise.any()
     made.level = 0.5
     made.draw(np.ones(500, bool))
     assert 0.8 <= made.drawn.friction.min() < 0.82
     tilt = np.arccos(np.clip(-made.drawn.gravity[:, 2] / 9.81, -1, 1))
     assert tilt.max() <= np.pi / 2 + 1e-9
+    assert 0.4 < made.drawn.noise.max() <= 0.5
+
+
+def test_noise_of_one_share_grows_with_the_level(cylinder: Scene) -> None:
+    made = randomiser(cylinder, Randomisation(noise_range=(1.0, 1.0)), 4)
+    for level in (0.0, 0.25, 1.0):
+        made.level = level
+        made.draw(np.ones(4, bool))
+        np.testing.assert_allclose(made.drawn.noise, level)
 
 
 def test_one_range_more_leaves_the_others_as_they_are(cylinder: Scene) -> None:

@@ -50,6 +50,16 @@ def test_set_points_stay_where_no_action_asks_for_more() -> None:
     np.testing.assert_allclose(made.state.q_target, before, atol=1e-12)
 
 
+def test_critics_see_what_encoders_read_at_zero() -> None:
+    scene = SceneConfig(object=("cylinder",), threads=1, sensing=Sensing(joint_offset=0.03))
+    config = EnvConfig(scene=scene, critic_parts=("joint_offset",), scaled=True)
+    made = ManipulationVectorEnv(config, 3, 0)
+    seen, _ = made.reset(seed=0)
+    offset = made.simulation.read().q - made.simulation.sim.read().q
+    assert np.abs(offset).max() > 0.01
+    np.testing.assert_allclose(seen[:, -made.hand.nq :], offset / 0.05, atol=1e-5)
+
+
 def test_critics_see_velocity_and_net_forces() -> None:
     config = EnvConfig(
         scene=SceneConfig(object=("cylinder",), threads=1),

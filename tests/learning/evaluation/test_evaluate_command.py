@@ -14,7 +14,9 @@ import pytest
 from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning import Kinematic, grow
-from dexctl.sim import Scene
+from dexctl.settings import to_plain
+from dexctl.sim import Scene, SceneConfig
+from dexctl.sim.conditions import under
 from learning import policies
 from learning.cli.evaluate import Evaluate
 from learning.evaluation import Protocol, open_subject
@@ -119,6 +121,45 @@ def test_conditions_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert "friction range 0.6, 1.4" in capsys.readouterr().out
     with pytest.raises(UnknownName, match="unknown conditions 'moon'"):
         run("hold", "--conditions", "moon")
+
+
+def test_conditions_take_the_place_of_the_trainings(capsys: pytest.CaptureFixture[str]) -> None:
+    """A policy that was trained with limits is nominal without them."""
+    limited = policies.load("dex5-any").card["trained"]["env"]["scene"]["limits"]
+    assert limited["torque_limit"] == 0.5 and limited["action_latency"] == 0.05
+    words = ("dex5-any", "--episodes", "1", "--seconds", "0.1", "--object", "cube", "--json")
+    for names, conditions in ((("nominal",), ("nominal",)), (("any-gravity",), ("any-gravity",))):
+        assert run(*words, "--conditions", *names) == 0
+        scene = json.loads(capsys.readouterr().out)["protocol"]["scene"]
+        wanted = to_plain(under(SceneConfig(object=("cube",)), *conditions))
+        assert scene == json.loads(json.dumps(wanted))
+    assert run(*words) == 0  # as it was trained, where nothing is said
+    scene = json.loads(capsys.readouterr().out)["protocol"]["scene"]
+    assert scene["limits"]["torque_limit"] == 0.5
+
+
+@pytest.mark.parametrize("who", ["dex5-easy", "coordinated", "hold"])
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        (("--goals", "cube"), "goals is 'cube', .* expected goal_quaternion or goal_rotation"),
+        (("--commands", "x,y"), "commands is x, y, .* expected goal_angular_velocity among"),
+    ],
+)
+def test_who_is_not_told_what_is_wanted_is_refused(
+    who: str, asked: tuple[str, ...], told: str
+) -> None:
+    words = ("--episodes", "1", "--seconds", "0.1", "--object", "cube")
+    with pytest.raises(InvalidInput, match=told) as caught:
+        run(who, *words, *asked)
+    assert who in str(caught.value)
+
+
+@pytest.mark.parametrize("asked", [("--goals", "cube"), ("--commands", "x")])
+def test_who_is_told_is_evaluated(asked: tuple[str, ...]) -> None:
+    words = ("--episodes", "1", "--seconds", "0.1", "--object", "cube")
+    assert run("goal", *words, *asked) == 0
+    assert run("hold", *words, "--goals", "root") == 0  # which never varies
 
 
 def test_the_transfer_matrix(

@@ -142,7 +142,7 @@ def test_drift_is_along_gravity_and_while_it_is_held() -> None:
     ],
 )
 def test_rotation_and_return_are_the_environments(settings: dict[str, Any]) -> None:
-    subject = open_subject("igm")
+    subject = open_subject("commanded:igm" if "commands" in settings else "igm")
     protocol = changed(SHORT, settings)
     found = evaluate(subject, protocol)
     config = EnvConfig(

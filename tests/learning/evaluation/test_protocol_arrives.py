@@ -93,7 +93,7 @@ def test_every_setting_of_a_command(
         (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
     asked = changed(Protocol(), {path: another(path) for path in paths(Protocol)})
-    made = kind(protocol=asked, out=Path("out"), **{WHO[kind]: "igm"})
+    made = kind(protocol=asked, out=Path("out"), **{WHO[kind]: "goal"})
     command = parse(kind, "dexctl", shlex.split(command_line(made, "it"))[2:])
     assert command is not None
     assert command.protocol == asked

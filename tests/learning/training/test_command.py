@@ -119,7 +119,13 @@ def test_ctrl_c_says_what_is_saved_and_how_to_go_on(tmp_path: Path) -> None:
         ("--sac.buffer-size 64", "buffer_size is 64; expected at least one batch"),
         ("--env.axis w", "unknown axis 'w'; known: x, y, z"),
         ("--env.parts q smell", "unknown observation part 'smell'; known: q, q_target"),
-        ("--env.critic-parts q", "each named once"),
+        ("--env.critic-parts q", "critic_parts has q, and critics see what is in parts already"),
+        ("--env.critic-parts drawn drawn", "critic_parts is .*each named once"),
+        ("--symmetry --env.critic-parts drawn", "the part 'drawn', which cannot be turned"),
+        ("--start-from gravity --env.gravity-tilt 3", "start_from is 'gravity', .* gravity_tilt"),
+        ("--start-from grasps --env.size-range 0.9,1.1", "start_from is 'grasps', .* size_range"),
+        ("--env.sensor-latency 100", "sensor_latency is 100.0; expected 0 to 10 s"),
+        ("--env.action-latency-range 0,11", "latency_range is .*; expected latencies up to 10 s"),
         ("--env.sensor-latency nan", "sensor_latency is nan"),
         ("--env.initial-states none.npz", "'.*none.npz' cannot be read"),
         ("--seed -1", "seed is -1"),
@@ -133,7 +139,7 @@ def test_bad_input(tmp_path: Path, arguments: str, said: str) -> None:
     with pytest.raises(DexctlError, match=said) as caught:
         command(*arguments.split(), "--out", str(folder)).run()
     assert "\n" not in str(caught.value)
-    assert not RunFolder.is_run(folder)
+    assert not folder.exists()
 
 
 def test_a_run_can_be_resumed_from_another_folder(
