@@ -169,7 +169,7 @@ def test_rotation_and_return_are_the_environments(settings: dict[str, Any]) -> N
 
 def test_goals_are_the_environments() -> None:
     """The same goals in the same order, and the same return, in evaluation and in training."""
-    subject = open_subject("igm")
+    subject = open_subject("goal")
     asked = {"goals": "yaw", "goal_seconds": 0.3, "goal_angle": 0.6, "success_joint_speed": 9.0}
     protocol = changed(SHORT, asked)
     found = rollout(subject, protocol)
@@ -179,12 +179,12 @@ def test_goals_are_the_environments() -> None:
     )  # fmt: skip
     envs = make_vector(config, 4)
     envs.reset(seed=protocol.seed)
-    igm = subject.acting(protocol)
-    igm.reset(0)
+    gait = subject.acting(protocol)
+    gait.reset(0)
     for row in range(20):
         state = envs.state
         np.testing.assert_array_equal(found.wanted["goal_quaternion"][row], state.goal_quaternion)
-        _, _, _, _, info = envs.step(envs.change_to_action(igm.act(state)))
+        _, _, _, _, info = envs.step(envs.change_to_action(gait.act(state)))
     np.testing.assert_allclose(found.evaluation.returns, info["episode_return"], atol=1e-9)
     np.testing.assert_array_equal(found.evaluation.goals_reached, info["goals"])
     assert found.evaluation.goals_missed.any()
