@@ -40,7 +40,8 @@ def figures_of(rows: list[dict[str, Any]]) -> list[Figure]:
     held = sum(row["holding"]["count"] for row in rows)
     drift = max(row["drift_mm"]["largest"] for row in rows)
     least = min(row["only_fingertips"] for row in rows)
-    where = f"coordinated gait, {seconds:g} s, {len(rows)} objects and palm directions"
+    where = f"coordinated gait, {seconds:g} s, {len(rows)} objects and palm directions, "
+    where += f"{rows[0]['holding']['of']} trials each"
     return [
         Figure(f"{where}: still held", f"{held} of {count}", "all", held == count),
         Figure(
