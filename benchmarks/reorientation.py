@@ -1,4 +1,4 @@
-"""Goal orientations and commanded axes, palm up: controllers for one axis put together, policies.
+"""Goal orientations and commanded axes: controllers for one axis put together, and policies.
 
 Any controller or policy can be named instead; a policy must see what is wanted.
 """
@@ -6,12 +6,16 @@ Any controller or policy can be named instead; a policy must see what is wanted.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
 
 from common import FULL_TURN, Figure, Settings, earlier, progress, settings, write
 
 from dexctl.gait import CommandedTurning, GoalSequence
+from dexctl.planning import sample_grasps
 from dexctl.settings import Names, changed
+from dexctl.sim import GraspStates, Scene
 from learning.envs import ReorientationConfig, TaskConfig, TurningConfig
 from learning.envs.goals import GOALS, Goals
 from learning.envs.observation import ORIENTATIONS, TURNING
@@ -43,8 +47,12 @@ class Options(Settings):
     """That is brought to goals."""
     turned: tuple[str, ...] = ("cube", "sphere")
     """That are turned about commanded axes, by policies that were trained with them."""
-    goals: tuple[Goals, ...] = ("yaw", "cube", "uniform")
-    """Kinds of goals."""
+    goals: tuple[Goals, ...] = ("yaw", "cube", "uniform", "root")
+    """Kinds of goals; to the root it is from grasps that are sampled all over the object."""
+    palms: tuple[str, ...] = ("up", "down")
+    """Which way it looks; down for orientations of a cube alone, where the pose is tracked."""
+    starts: int = 200
+    """How many grasps are sampled for the way to the root."""
     poses: tuple[Pose, ...] = ("tracked", "odometry")
     """How the object's pose is known where there are goals."""
     axes: Names = AXES
@@ -57,13 +65,22 @@ class Asked(NamedTuple):
     what: str
     object: str
     pose: Pose = "tracked"
+    palm: str = "up"
+
+
+def sampled(name: str, palm: str, given: Options) -> GraspStates:
+    """Grasps all over an object, any way round."""
+    scene = Scene.build("dex5", name, palm)
+    return sample_grasps(scene, given.starts, seed=given.seed, threads=1).states
 
 
 def measure(subject: Subject, asked: Asked, given: Options) -> dict[str, Any]:
     """One controller with one kind of goals, or about one axis."""
     what: Any = asked.what
     if what in GOALS:
-        seconds, reorientation = given.seconds, ReorientationConfig(goal_count=1000)
+        root = what == "root"
+        seconds = given.seconds / 2 if root else given.seconds
+        reorientation = ReorientationConfig(goal_count=1 if root else 1000)
         task = TaskConfig(goals=what, reorientation=reorientation)
     else:  # one command for all of the episode
         seconds, most = given.turning, given.turning + 1.0
@@ -72,20 +89,31 @@ def measure(subject: Subject, asked: Asked, given: Options) -> dict[str, Any]:
         replace(subject.protocol(), task=task),
         {
             "object": asked.object,
-            "gravity": "up",
+            "gravity": asked.palm,
             "object_pose": asked.pose,
             "episodes": given.trials,
             "seconds": seconds,
             "seed": given.seed,
         },
     )
-    found = evaluate(subject, protocol)
+    with TemporaryDirectory() as folder:
+        if what == "root":
+            path = Path(folder) / "starts.npz"
+            sampled(asked.object, asked.palm, given).save(path)
+            protocol = changed(protocol, {"initial_states": path})
+        found = evaluate(subject, protocol)
     return {name: one.to_dict() for name, one in found.figures().items()}
 
 
 def wanted(subject: Subject, given: Options) -> list[Asked]:
     """What a subject can be asked for, and how the object's pose is known then."""
-    goals = [Asked(what, given.object, pose) for pose in given.poses for what in given.goals]
+    goals = [
+        Asked(what, given.object, pose, palm)
+        for palm in given.palms
+        for pose in given.poses
+        for what in given.goals
+        if palm == "up" or (what, pose) == ("cube", "tracked")
+    ]
     axes = [Asked(what, name) for name in given.turned for what in given.axes]
     if isinstance(subject.controller, GoalSequence):
         return goals
@@ -118,15 +146,17 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     }
     tables = [
         {
-            "title": f"Goal orientations of a {given.object}, palm up, {given.trials} episodes of "
-            f"{given.seconds:g} s, 30 s for each goal: reached within 0.2 rad and at rest",
+            "title": f"Goal orientations of a {given.object}, {given.trials} episodes of "
+            f"{given.seconds:g} s (to the root half of that, from sampled grasps), 30 s for each "
+            "goal: reached within 0.2 rad and at rest",
             "header": [
-                "goals", "pose", "", "first goal", "all goals", "to the first [s]", "in a row",
-                "dropped",
+                "goals", "palm", "pose", "", "first goal", "all goals", "to the first [s]",
+                "in a row", "dropped",
             ],
             "rows": [
                 [
                     row["what"],
+                    row.get("palm", "up"),
                     row["pose"],
                     row["who"],
                     percent(row["share_first_goal_reached"]),
@@ -150,7 +180,8 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     ]  # fmt: skip
     found = [
         Figure(
-            f"{row['who']}: first goals reached ({row['what']}, {row['pose']})",
+            f"{row['who']}: first goals reached ({row['what']}, {row['pose']}"
+            f"{', palm down' if row.get('palm') == 'down' else ''})",
             f"{percent(row['share_first_goal_reached'])}, median "
             f"{row['first_goal_median_s']['value']:.1f} s",
             "80 %",
@@ -182,7 +213,8 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 def main() -> None:
     given = settings(Options, __doc__)
     rows = earlier("reorientation", given)
-    done = {(row["who"], row["what"], row["object"], row["pose"]) for row in rows}
+    names = ("who", "what", "object", "pose")
+    done = {(*(row[name] for name in names), row.get("palm", "up")) for row in rows}
     for name in given.who:
         subject = open_subject(name)
         for asked in wanted(subject, given):
