@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dexctl.state import Bools, Floats
-from hardware.log import Log
+from hardware.log import Log, limits_of
 
 AT_LIMIT = 0.95
 """A joint is at its torque limit from this share of it on."""
@@ -44,9 +44,15 @@ def joint_names(log: Log) -> list[str]:
     return [f"joint {j + 1}" for j in range(count)]
 
 
-def torque_limit(log: Log) -> float | None:
-    """The limit that the run had [N m], where the log says it."""
-    return _number(log.run, "limits", "torque_limit")
+def torque_limits(log: Log) -> Floats | None:
+    """The limit that each joint had in the run, ``(d,)`` [N m], where the log says it."""
+    return limits_of(log.run, log.ticks["q"].shape[1], "torque_limit")
+
+
+def span(values: Floats) -> str:
+    """The one number that all values are, or the least and the greatest."""
+    low, high = f"{values.min():g}", f"{values.max():g}"
+    return low if low == high else f"{low} to {high}"
 
 
 def touch_threshold(log: Log) -> float | None:
@@ -56,9 +62,10 @@ def touch_threshold(log: Log) -> float | None:
 
 def shares_at_limit(log: Log, run: Bools) -> Floats:
     """Share of the running time that each joint was at its torque limit, ``(d,)``."""
-    limit = torque_limit(log)
-    torque = np.abs(log.ticks["torque"][run])
-    return np.zeros(torque.shape[1]) if limit is None else (torque >= AT_LIMIT * limit).mean(axis=0)
+    limits, torque = torque_limits(log), np.abs(log.ticks["torque"][run])
+    if limits is None:
+        return np.zeros(torque.shape[1])
+    return (torque >= AT_LIMIT * limits).mean(axis=0)
 
 
 def touches_per_second(log: Log, run: Bools) -> Floats:
@@ -69,18 +76,18 @@ def touches_per_second(log: Log, run: Bools) -> Floats:
 
 
 def _at_torque_limit(log: Log, run: Bools) -> list[str]:
-    shares, limit = shares_at_limit(log, run), torque_limit(log)
+    shares, limits = shares_at_limit(log, run), torque_limits(log)
     names = joint_names(log)
     which = [
         f"{names[j]} ({shares[j]:.0%} of the run)"
         for j in np.argsort(-shares)
         if shares[j] > LIMITED_SHARE
     ]
-    if not which:
+    if limits is None or not which:
         return []
     return [
-        f"At the torque limit of {limit:g} N m: {', '.join(which)}. Blocked, the grasp too tight "
-        "or the object too heavy."
+        f"At the torque limit of {span(limits)} N m: {', '.join(which)}. Blocked, the grasp "
+        "too tight or the object too heavy."
     ]
 
 

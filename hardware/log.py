@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from dexctl.exceptions import InvalidInput, MissingExtra
+from dexctl.state import Floats
 from hardware.log_process import FRAME, TOPICS
 
 _PIPE_BYTES = 1 << 20  # about 8 s of ticks at 50 Hz; the kernel may grant less
@@ -204,6 +205,31 @@ class Log:
     cut: bool
     messages: int = 0
     damage: str = ""
+
+
+def of_joints(run: Mapping[str, Any], count: int, *path: str) -> Floats | None:
+    """What a log says first of each of ``count`` joints; None where it does not say it.
+
+    Args:
+        run: `Log.run`.
+        count: of the joints, d.
+        path: where it stands, as one number for all joints or as d numbers.
+    """
+    value: Any = run
+    for name in path:
+        value = value.get(name) if isinstance(value, Mapping) else None
+    found = value if isinstance(value, list) else [value] * count
+    numbers = all(isinstance(one, int | float) and not isinstance(one, bool) for one in found)
+    if len(found) != count or not numbers or not np.isfinite(found).all():
+        return None
+    return np.array(found, float)
+
+
+def limits_of(run: Mapping[str, Any], count: int, name: str) -> Floats | None:
+    """The "speed_limit" or "torque_limit" ``(d,)`` that each joint had [rad/s], [N m], or None."""
+    found = of_joints(run, count, "joint_limits", name)
+    # logs from before each joint had its own
+    return of_joints(run, count, "limits", name) if found is None else found
 
 
 def read_log(path: str | Path) -> Log:

@@ -251,7 +251,7 @@ class _Look:
         return ""
 
     def _go(self, goal: Floats) -> None:
-        end = time.monotonic() + _MOVE / self.hand.limits.speed_limit + _MOVE_SECONDS
+        end = time.monotonic() + _MOVE / self.hand.speed_limit.min() + _MOVE_SECONDS
         while time.monotonic() < end:
             self.hand.sample()
             self.hand.write(goal)

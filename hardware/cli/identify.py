@@ -118,11 +118,14 @@ def ranges_of(
 
     model = lean_model(hand_spec(hand).spec, hand)
     columns = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
-    damping = float(run["damping_nms_per_rad"]) + model.dof_damping[columns]
+    told_stiffness, told_damping = (
+        np.asarray(run[name], float) for name in ("stiffness_nm_per_rad", "damping_nms_per_rad")
+    )
+    damping = told_damping + model.dof_damping[columns]
     explained = found.explained
     told = explained | found.measured_torque
     every = {
-        "stiffness_range": (found.stiffness / float(run["stiffness_nm_per_rad"]), told),
+        "stiffness_range": (found.stiffness / told_stiffness, told),
         "damping_range": (found.damping / damping, explained),
         "gear_friction_range": (found.friction, explained),
         "armature_range": (armature, explained),

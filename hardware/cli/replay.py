@@ -23,7 +23,7 @@ from hardware.figures import figures_of_merit
 from hardware.log import Log, LogWriter, read_log
 from hardware.motions import Replay
 from hardware.runner import Runner
-from hardware.scene import EMPTY
+from hardware.scene import ASKED, HELP
 
 
 @dataclass(kw_only=True)
@@ -41,8 +41,9 @@ class ReplayLog(HandOptions):
     json: Switch = False
     """Print one JSON object instead of the summary."""
     scene: Annotated[
-        SceneConfig, only(EMPTY, "hand", "stiffness", "damping", "limits.action_latency")
-    ] = EMPTY
+        SceneConfig,
+        only(ASKED, "hand", "stiffness", "damping", "limits.action_latency", texts=HELP),
+    ] = ASKED
 
     def run(self) -> int:
         self.emulate = self.emulate or self.port is None

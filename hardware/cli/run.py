@@ -31,11 +31,11 @@ from hardware.log import LogWriter, read_log
 from hardware.motions import Chirp, Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
-from hardware.scene import AUTO, CLOCK, HOLDING, NOTHING, OF_AN_OBJECT
+from hardware.scene import ASKED, AUTO, CLOCK, HELP, HOLDING, NOTHING, OF_AN_OBJECT
 from hardware.state_machine import Event, State
 
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
-_HELD = replace(HOLDING, object=(AUTO,))
+_HELD = replace(ASKED, object=(AUTO,))
 _SETTINGS = tuple(name for name in SceneConfig.__dataclass_fields__ if name not in CLOCK)
 _MOTIONS = {"sine": Sine, "chirp": Chirp}  # of an empty hand
 _BLIND = ("hold", *_MOTIONS)  # controllers that do not go by touch
@@ -70,7 +70,7 @@ class Run(HandOptions):
     """Folder for run.mcap and report.html; those of an earlier run are renamed, not replaced."""
     json: Switch = False
     """Print one JSON object instead of the summary."""
-    scene: Annotated[SceneConfig, only(_HELD, *_SETTINGS)] = _HELD
+    scene: Annotated[SceneConfig, only(_HELD, *_SETTINGS, texts=HELP)] = _HELD
 
     def run(self) -> int:
         self.check()
@@ -172,6 +172,7 @@ def about(
     """What a log says first."""
     from dexctl.report.machine import machine
 
+    gains = options.gains(limits, model)
     return {
         "controller": controller,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -182,12 +183,21 @@ def about(
         "joint_fingers": fingers_of(model),
         "servos": calibration.servo.tolist(),
         "calibration_date": None if options.calibration is None else calibration.date.isoformat(),
-        "stiffness_nm_per_rad": options.scene.stiffness,
-        "damping_nms_per_rad": options.scene.damping,
+        "stiffness_nm_per_rad": _one_or_each([one.kp for one in gains]),
+        "damping_nms_per_rad": _one_or_each([one.kv for one in gains]),
         "action_latency_s": options.scene.limits.action_latency,
         "limits": asdict(limits),
+        "joint_limits": {
+            "speed_limit": _one_or_each([one.speed_limit for one in gains]),
+            "torque_limit": _one_or_each([one.torque_limit for one in gains]),
+        },
         "machine": machine(),
     }
+
+
+def _one_or_each(values: list[float]) -> float | list[float]:
+    """One number where all joints have the same, else that of each."""
+    return values[0] if len(set(values)) == 1 else values
 
 
 def fingers_of(model: HandModel) -> list[int]:
