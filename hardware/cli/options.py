@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -12,6 +12,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from dexctl import HandModel, JointTouch, hands
+from dexctl.cli.output import notes
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import differing, only
@@ -28,7 +29,7 @@ from hardware.limits import Limits
 from hardware.models import XM430_W210, ServoModel
 from hardware.models import model as servo_model
 from hardware.registers import CURRENT_LIMIT
-from hardware.run_report import RunReport
+from hardware.run_report import RunEvent, RunReport
 from hardware.scene import ASKED, HELP, HOLDING, NOTHING, OF_A_REAL_HAND
 from hardware.state_machine import Event
 from hardware.tactile import SerialTactile, TactileSource
@@ -317,6 +318,26 @@ def emulate(
         seed=seed,
         models=models,
     )
+
+
+def teller(line: Callable[[RunEvent], str]) -> Callable[[RunEvent], None]:
+    """For `Runner(on_event=...)`: prints ``line`` of each event on stderr, and never raises.
+
+    A terminal that is gone or cannot show a letter must not take the torque off at once, in place
+    of what the event asks for.
+    """
+    console = notes()
+
+    def tell(said: RunEvent) -> None:
+        with suppress(Exception, SystemExit):  # rich makes SystemExit of a pipe that is closed
+            console.print(line(said))
+
+    return tell
+
+
+def in_a_line(said: RunEvent) -> str:
+    """An event, for people."""
+    return f"{said.event.value}: {said.detail}"
 
 
 def busy(options: HandOptions, found: RunReport) -> str:

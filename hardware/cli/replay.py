@@ -17,7 +17,7 @@ from dexctl.settings import only
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware import report
-from hardware.cli.options import HandOptions, busy
+from hardware.cli.options import HandOptions, busy, in_a_line, teller
 from hardware.cli.run import LOG, about, finish, keep_earlier
 from hardware.figures import figures_of_merit
 from hardware.log import Log, LogWriter, read_log
@@ -62,17 +62,16 @@ class ReplayLog(HandOptions):
         with self.open(limits, period) as session, LogWriter(target) as writer:
             name = f"replay of {self.log.name}"
             writer.write("/run", about(self, name, model, calibration, limits))
-            console = notes()
             runner = Runner(
                 session.hand,
                 replay,
                 needs_tactile=False,
                 log=writer,
-                on_event=lambda said: console.print(f"{said.event.value}: {said.detail}"),
+                on_event=teller(in_a_line),
             )
             found = runner.run(len(q_target) * period, approach=q_target[0])
         if hint := busy(self, found):
-            console.print(hint)
+            notes().print(hint)
         code = finish(found, folder, as_json=self.json)
         if not self.json and target.exists() and "q" in (again := read_log(target)).ticks:
             results().print(f"joints against those of the log: {compare(log, again):.4g} rad RMS")

@@ -24,7 +24,7 @@ from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_name
 from hardware import report
 from hardware.calibration import Calibration
-from hardware.cli.options import HandOptions, Session, busy, flags
+from hardware.cli.options import HandOptions, Session, busy, flags, teller
 from hardware.figures import figures_of_merit, in_full, in_words
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
@@ -101,7 +101,6 @@ class Run(HandOptions):
             )
             log = stack.enter_context(LogWriter(folder / LOG))
             log.write("/run", self._about(model, calibration, limits, held, period))
-            console = notes()
             runner = Runner(
                 session.hand,
                 controller,
@@ -109,9 +108,10 @@ class Run(HandOptions):
                 log=log,
                 seed=self.seed,
                 extra=lambda: truth(session),
-                on_event=lambda said: console.print(_line(said)),
+                on_event=teller(_line),
             )
             found = runner.run(self.seconds, approach=session.grasp)
+        console = notes()
         if not found.real_time:
             console.print("real-time scheduling was not permitted: expect late ticks")
         if hint := busy(self, found):
