@@ -55,9 +55,25 @@ def span(values: Floats) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def touch_threshold(log: Log) -> float | None:
-    """From which force on a fingertip counted as touching [N], where the log says it."""
-    return _number(log.run, "scene", "sensing", "touch_threshold")
+def touch_thresholds(log: Log) -> tuple[float, ...]:
+    """The forces at which a fingertip's touch began and ended [N]; one where they are the same.
+
+    They are those of what told of touch in the run. None where the log does not say them, and none
+    of switches, which tell of touch by themselves while the forces are told from the joints.
+    """
+    sensing = ("scene", "sensing")
+    how = _at(log.run, *sensing, "touch")
+    if how == "binary":
+        return ()
+    if how == "joint-torque":
+        found = [
+            _number(log.run, *sensing, "joint_touch", name)
+            for name in ("touch_force", "release_force")
+        ]
+    else:
+        found = [_number(log.run, *sensing, "touch_threshold")]
+    known = [force for force in found if force is not None]
+    return tuple(dict.fromkeys(known)) if len(known) == len(found) else ()
 
 
 def shares_at_limit(log: Log, run: Bools) -> Floats:
@@ -92,16 +108,18 @@ def _at_torque_limit(log: Log, run: Bools) -> list[str]:
 
 
 def _chattering(log: Log, run: Bools) -> list[str]:
-    rates, threshold = touches_per_second(log, run), touch_threshold(log)
+    rates, thresholds = touches_per_second(log, run), touch_thresholds(log)
+    each = " and ".join(f"{force:g}" for force in thresholds)
+    each = f"the thresholds of {each}" if len(thresholds) > 1 else f"the threshold of {each}"
     said = []
     for finger in np.flatnonzero(rates > CHATTER):
         touch = log.ticks["in_contact"][run][:, finger] > 0.5
         force = float(np.median(log.ticks["contact_force"][run][touch, finger]))
         text = f"Finger {finger + 1} made and lost touch {rates[finger]:.1f} times a second"
-        if threshold is not None and force < NEAR * threshold:
+        if thresholds and force < NEAR * thresholds[0]:
             text += (
-                f", at forces about the threshold of {threshold:g} N (median {force:.1f} N): it "
-                "presses too weakly to be told from not touching"
+                f", at forces about {each} N (median {force:.1f} N): it presses too weakly to be "
+                "told from not touching"
             )
         said.append(f"{text}.")
     return said
@@ -124,10 +142,13 @@ def _clock(log: Log, run: Bools) -> list[str]:
     return said
 
 
-def _number(tree: object, *path: str) -> float | None:
+def _at(tree: object, *path: str) -> object:
     for name in path:
-        if not isinstance(tree, dict):
-            return None
-        tree = tree.get(name)
-    good = isinstance(tree, int | float) and not isinstance(tree, bool) and np.isfinite(tree)
-    return float(tree) if good else None  # type: ignore[arg-type]
+        tree = tree.get(name) if isinstance(tree, dict) else None
+    return tree
+
+
+def _number(tree: object, *path: str) -> float | None:
+    value = _at(tree, *path)
+    good = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+    return float(value) if good else None  # type: ignore[arg-type]

@@ -22,7 +22,7 @@ from dexctl.report.style import (
 )
 from dexctl.state import Floats
 from hardware.figures import figures_of_merit, in_full, in_words, object_turn
-from hardware.findings import findings, joint_names, span, torque_limits, touch_threshold
+from hardware.findings import findings, joint_names, span, torque_limits, touch_thresholds
 from hardware.log import Log, limits_of, of_joints
 
 if TYPE_CHECKING:
@@ -145,11 +145,15 @@ def _torque(log: Log) -> str:
 
 
 def _force(log: Log) -> str:
-    threshold = touch_threshold(log)
-    caption = "" if threshold is None else f"Thin line: what counts as touch, {threshold:g} N."
+    thresholds = touch_thresholds(log)
+    caption = ""
+    if len(thresholds) == 1:
+        caption = f"Thin line: what counts as touch, {thresholds[0]:g} N."
+    elif thresholds:
+        caption = "Thin lines: touch begins at {:g} N and ends below {:g} N.".format(*thresholds)
     return _by_finger(
         log, log.ticks["contact_force"], "normal force [N]", "forces over time", caption,
-        [] if threshold is None else [threshold],
+        thresholds,
     )  # fmt: skip
 
 
