@@ -19,7 +19,7 @@ from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.hands.identity import identity
-from dexctl.settings import only, to_plain
+from dexctl.settings import absolute, only, to_plain
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_name
 from hardware import report
@@ -152,11 +152,10 @@ class Run(HandOptions):
         held: SceneConfig,
         period: float,
     ) -> dict[str, Any]:
-        return about(self, self.controller, model, calibration, limits) | {
+        return about(self, self.controller, model, calibration, limits, held) | {
             "object": held.object[0],
             "palm": held.palm,
             "touch": held.sensing.touch,
-            "scene": {name: v for name, v in to_plain(held).items() if name not in CLOCK},
             "rate_hz": 1.0 / period,
             "seed": self.seed,
         }
@@ -168,11 +167,13 @@ def about(
     model: HandModel,
     calibration: Calibration,
     limits: Limits,
+    scene: SceneConfig,
 ) -> dict[str, Any]:
-    """What a log says first."""
+    """What a log says first; files by their absolute paths, so that it can be read anywhere."""
     from dexctl.report.machine import machine
 
     gains = options.gains(limits, model)
+    said = to_plain(absolute(scene, Path.cwd()))
     return {
         "controller": controller,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -191,6 +192,7 @@ def about(
             "speed_limit": _one_or_each([one.speed_limit for one in gains]),
             "torque_limit": _one_or_each([one.torque_limit for one in gains]),
         },
+        "scene": {name: value for name, value in said.items() if name not in CLOCK},
         "machine": machine(),
     }
 
