@@ -114,7 +114,7 @@ class LimitedGoal(NamedTuple):
 
 
 def limit_goal(
-    asked: Floats, previous: Floats, lower: Floats, upper: Floats, step: float
+    asked: Floats, previous: Floats, lower: Floats, upper: Floats, step: Floats | float
 ) -> LimitedGoal:
     """The set-point nearest to ``asked`` that is in range and not more than ``step`` away.
 
@@ -125,7 +125,7 @@ def limit_goal(
         asked: wanted set-points, ``(d,)`` [rad].
         previous: what was sent last, ``(d,)`` [rad], finite.
         lower, upper: ``(d,)`` [rad].
-        step: greatest change [rad].
+        step: greatest change, of all or of each ``(d,)`` [rad].
     """
     not_finite = ~np.isfinite(asked)
     wanted = np.where(not_finite, previous, asked)

@@ -41,12 +41,13 @@ NESTED = tyro.conf.arg(name="")
 """Marks a nested configuration whose settings go without its name on the command line."""
 
 
-def only(default: Any, *names: str) -> Any:
+def only(default: Any, *names: str, texts: Mapping[str, str] | None = None) -> Any:
     """Marks a nested configuration of which only some settings are options; else as `NESTED`.
 
     Args:
         default: a configuration; the other settings have its values, whatever is typed.
         names: of the settings, or of configurations in it; dotted for one setting of those.
+        texts: what help says of settings that mean something else here, by name.
     """
     kind, heads = type(default), {name.partition(".")[0] for name in names}
     with_markers = get_type_hints(kind, include_extras=True)
@@ -58,6 +59,8 @@ def only(default: Any, *names: str) -> Any:
             hint = Annotated[type(value), only(value, *below)]
         elif one.name not in heads:
             hint = Annotated[hint, tyro.conf.Fixed, tyro.conf.Suppress]
+        elif texts and one.name in texts:
+            hint = Annotated[hint, tyro.conf.arg(help=texts[one.name])]
         shown.append((one.name, hint, field(default=value)))
     narrow = make_dataclass(kind.__name__, shown, bases=(kind,), frozen=True, kw_only=True)
     return tyro.conf.arg(name="", constructor=narrow)

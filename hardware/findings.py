@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dexctl.state import Bools, Floats
-from hardware.log import Log
+from hardware.log import Log, limits_of
 
 AT_LIMIT = 0.95
 """A joint is at its torque limit from this share of it on."""
@@ -44,21 +44,44 @@ def joint_names(log: Log) -> list[str]:
     return [f"joint {j + 1}" for j in range(count)]
 
 
-def torque_limit(log: Log) -> float | None:
-    """The limit that the run had [N m], where the log says it."""
-    return _number(log.run, "limits", "torque_limit")
+def torque_limits(log: Log) -> Floats | None:
+    """The limit that each joint had in the run, ``(d,)`` [N m], where the log says it."""
+    return limits_of(log.run, log.ticks["q"].shape[1], "torque_limit")
 
 
-def touch_threshold(log: Log) -> float | None:
-    """From which force on a fingertip counted as touching [N], where the log says it."""
-    return _number(log.run, "scene", "sensing", "touch_threshold")
+def span(values: Floats) -> str:
+    """The one number that all values are, or the least and the greatest."""
+    low, high = f"{values.min():g}", f"{values.max():g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def touch_thresholds(log: Log) -> tuple[float, ...]:
+    """The forces at which a fingertip's touch began and ended [N]; one where they are the same.
+
+    They are those of what told of touch in the run. None where the log does not say them, and none
+    of switches, which tell of touch by themselves while the forces are told from the joints.
+    """
+    sensing = ("scene", "sensing")
+    how = _at(log.run, *sensing, "touch")
+    if how == "binary":
+        return ()
+    if how == "joint-torque":
+        found = [
+            _number(log.run, *sensing, "joint_touch", name)
+            for name in ("touch_force", "release_force")
+        ]
+    else:
+        found = [_number(log.run, *sensing, "touch_threshold")]
+    known = [force for force in found if force is not None]
+    return tuple(dict.fromkeys(known)) if len(known) == len(found) else ()
 
 
 def shares_at_limit(log: Log, run: Bools) -> Floats:
     """Share of the running time that each joint was at its torque limit, ``(d,)``."""
-    limit = torque_limit(log)
-    torque = np.abs(log.ticks["torque"][run])
-    return np.zeros(torque.shape[1]) if limit is None else (torque >= AT_LIMIT * limit).mean(axis=0)
+    limits, torque = torque_limits(log), np.abs(log.ticks["torque"][run])
+    if limits is None:
+        return np.zeros(torque.shape[1])
+    return (torque >= AT_LIMIT * limits).mean(axis=0)
 
 
 def touches_per_second(log: Log, run: Bools) -> Floats:
@@ -69,32 +92,34 @@ def touches_per_second(log: Log, run: Bools) -> Floats:
 
 
 def _at_torque_limit(log: Log, run: Bools) -> list[str]:
-    shares, limit = shares_at_limit(log, run), torque_limit(log)
+    shares, limits = shares_at_limit(log, run), torque_limits(log)
     names = joint_names(log)
     which = [
         f"{names[j]} ({shares[j]:.0%} of the run)"
         for j in np.argsort(-shares)
         if shares[j] > LIMITED_SHARE
     ]
-    if not which:
+    if limits is None or not which:
         return []
     return [
-        f"At the torque limit of {limit:g} N m: {', '.join(which)}. Blocked, the grasp too tight "
-        "or the object too heavy."
+        f"At the torque limit of {span(limits)} N m: {', '.join(which)}. Blocked, the grasp "
+        "too tight or the object too heavy."
     ]
 
 
 def _chattering(log: Log, run: Bools) -> list[str]:
-    rates, threshold = touches_per_second(log, run), touch_threshold(log)
+    rates, thresholds = touches_per_second(log, run), touch_thresholds(log)
+    each = " and ".join(f"{force:g}" for force in thresholds)
+    each = f"the thresholds of {each}" if len(thresholds) > 1 else f"the threshold of {each}"
     said = []
     for finger in np.flatnonzero(rates > CHATTER):
         touch = log.ticks["in_contact"][run][:, finger] > 0.5
         force = float(np.median(log.ticks["contact_force"][run][touch, finger]))
         text = f"Finger {finger + 1} made and lost touch {rates[finger]:.1f} times a second"
-        if threshold is not None and force < NEAR * threshold:
+        if thresholds and force < NEAR * thresholds[0]:
             text += (
-                f", at forces about the threshold of {threshold:g} N (median {force:.1f} N): it "
-                "presses too weakly to be told from not touching"
+                f", at forces about {each} N (median {force:.1f} N): it presses too weakly to be "
+                "told from not touching"
             )
         said.append(f"{text}.")
     return said
@@ -117,10 +142,13 @@ def _clock(log: Log, run: Bools) -> list[str]:
     return said
 
 
-def _number(tree: object, *path: str) -> float | None:
+def _at(tree: object, *path: str) -> object:
     for name in path:
-        if not isinstance(tree, dict):
-            return None
-        tree = tree.get(name)
-    good = isinstance(tree, int | float) and not isinstance(tree, bool) and np.isfinite(tree)
-    return float(tree) if good else None  # type: ignore[arg-type]
+        tree = tree.get(name) if isinstance(tree, dict) else None
+    return tree
+
+
+def _number(tree: object, *path: str) -> float | None:
+    value = _at(tree, *path)
+    good = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+    return float(value) if good else None  # type: ignore[arg-type]

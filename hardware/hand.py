@@ -8,6 +8,7 @@ of the torque. One thread uses a hand at a time.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,9 +45,11 @@ class ServoHand:
         bus: with all servos of the calibration; stays the caller's to close.
         hand: the model.
         calibration: how joints lie on servos; default servos 1 to d, straight.
-        limits: speed, torque and the rest.
+        limits: speed, torque and the rest; of a joint whose own speed or torque limit (those of
+            the model) is lower, that one counts.
         gains: of the position loop: as registers, the same for all servos, or in SI units, which
-            each model has registers of its own for; default: as they are in the servos.
+            each model has registers of its own for, the same for all joints or d of them; default:
+            as they are in the servos.
         tactile: what the fingertips feel; default nothing.
         joint_touch: tells touch from the torques that the servos measure, in place of what
             ``tactile`` feels; where there is a ``tactile``, that still says which fingertips touch.
@@ -61,13 +64,15 @@ class ServoHand:
             of 1.5 mrad (a slow motion would be lost if the rounded value were built on); NaN
             until armed.
         gravity: ``(3,)`` [m/s^2], or None.
+        speed_limit, torque_limit: of each joint, ``(d,)`` [rad/s], [N m].
         models: of the servos, d; XM430-W210 until `configure` has asked them.
         torque_constant: of the calibration, or the models, ``(d,)`` [N m/A], [N m].
         hot: from which temperature on is warned, ``(d,)`` [degC].
         voltage: lowest and highest supply, ``(2, d)`` [V].
 
     Raises:
-        InvalidInput: hand, calibration and bus do not belong together.
+        InvalidInput: hand, calibration and bus do not belong together, there are not d gains, or a
+            joint's speed limit is less than its servo can hold.
     """
 
     def __init__(
@@ -77,7 +82,7 @@ class ServoHand:
         calibration: Calibration | None = None,
         *,
         limits: Limits | None = None,
-        gains: ServoGains | SimGains | None = None,
+        gains: ServoGains | SimGains | Sequence[SimGains] | None = None,
         tactile: TactileSource | None = None,
         joint_touch: JointTouch | None = None,
         gravity: str | ArrayLike | None = None,
@@ -87,7 +92,9 @@ class ServoHand:
         self.hand = hand
         self.calibration = (calibration or Calibration.nominal(hand)).check(hand)
         self.limits = limits or Limits()
-        self.gains = gains
+        self.speed_limit, self.torque_limit = joint_limits(hand, self.limits)
+        self._check_speeds()
+        self._gains = _each(gains, hand.nq)
         self.tactile = tactile or NoTactile(hand.n_fingers)
         self.joint_touch, self._switches = joint_touch, tactile is not None
         self.gravity = None if gravity is None else gravity_vector(gravity)
@@ -149,21 +156,29 @@ class ServoHand:
         self.q_target = self.calibration.joint_angle(position, self._turn_count)
         self._set(registers.GOAL_POSITION, position)
         self._set(registers.PROFILE_ACCELERATION, 0.0)
-        self._set(registers.PROFILE_VELOCITY, self.limits.speed_limit)
-        if self.gains is not None:
-            gains = [self._gains_of(joint) for joint in range(len(self._ids))]
+        self._set(registers.PROFILE_VELOCITY, self.speed_limit)
+        if self._gains is not None:
+            gains = [self._registers(joint, one) for joint, one in enumerate(self._gains)]
             self._set(registers.POSITION_P_GAIN, [float(gain.p) for gain in gains])
             self._set(registers.POSITION_D_GAIN, [float(gain.d) for gain in gains])
             self._set(registers.POSITION_I_GAIN, 0.0)
         self._set(registers.GOAL_CURRENT, self._most_drive)
 
-    def _gains_of(self, joint: int) -> ServoGains:
-        if not isinstance(self.gains, SimGains):
-            assert self.gains is not None
-            return self.gains
+    def _check_speeds(self) -> None:
+        least = 0.5 * registers.PROFILE_VELOCITY.scale
+        for joint in np.flatnonzero(~(self.speed_limit > least))[:1]:
+            # it would be rounded to 0, which means no limit to a servo
+            raise InvalidInput(
+                f"the speed limit of {self.hand.joint_names[joint]} is "
+                f"{self.speed_limit[joint]:g} rad/s; expected more than {least:.3g}"
+            )
+
+    def _registers(self, joint: int, gains: ServoGains | SimGains) -> ServoGains:
+        if not isinstance(gains, SimGains):
+            return gains
         model = self.models[joint]
         scale = replace(model.loop, torque_constant=float(self.torque_constant[joint]))
-        return to_servo(self.gains, scale, model.register(registers.CURRENT_LIMIT))
+        return to_servo(gains, scale, model.register(registers.CURRENT_LIMIT))
 
     def _take_models(self, models: list[ServoModel]) -> None:
         limits, given = self.limits, self.calibration.torque_constant
@@ -172,7 +187,7 @@ class ServoHand:
         self.torque_constant = np.where(np.isnan(given), own, given)
         most = [model.register(registers.CURRENT_LIMIT) for model in models]
         self._most_drive = np.minimum(
-            limits.torque_limit / self.torque_constant, [one.high * one.scale for one in most]
+            self.torque_limit / self.torque_constant, [one.high * one.scale for one in most]
         )
         asked = limits.temperature
         self.hot = np.array([model.hot if asked is None else asked for model in models])
@@ -375,7 +390,7 @@ class ServoHand:
             self.q_target,
             self.calibration.lower,
             self.calibration.upper,
-            self.limits.speed_limit * self.control_period,
+            self.speed_limit * self.control_period,
         )
         self._send(limited.q_target)
         self._last_limited = limited
@@ -443,3 +458,26 @@ class ServoHand:
 
     def __exit__(self, *_: object) -> None:
         self.disarm()
+
+
+def joint_limits(hand: HandModel, limits: Limits) -> tuple[Floats, Floats]:
+    """Speed and torque limit of each joint, ``(d,)`` [rad/s], [N m].
+
+    Those asked for, and where the joint's own are lower, its own.
+    """
+    return np.minimum(limits.speed_limit, hand.velocity), np.minimum(
+        limits.torque_limit, hand.effort
+    )
+
+
+def _each(
+    gains: ServoGains | SimGains | Sequence[SimGains] | None, count: int
+) -> list[ServoGains | SimGains] | None:
+    """Gains of each of ``count`` joints."""
+    if gains is None:
+        return None
+    if isinstance(gains, ServoGains | SimGains):
+        return [gains] * count
+    if len(gains) != count:
+        raise InvalidInput(f"{len(gains)} gains; expected one, or one for each of {count} joints")
+    return list(gains)

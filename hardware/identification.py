@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Bools, Floats
-from hardware.log import Log
+from hardware.log import Log, limits_of, of_joints
 
 STEP = 0.002
 """Of the fit's simulation [s]."""
@@ -110,15 +110,21 @@ def identify(log: Log) -> Fit:
         raise InvalidInput(
             f"{log.path} holds {int(rows.sum())} ticks of a controller; expected {_FEWEST} or more"
         )
+    told, speed, torque = (
+        of_joints(log.run, ticks["q"].shape[1], "stiffness_nm_per_rad"),
+        *(limits_of(log.run, ticks["q"].shape[1], f"{name}_limit") for name in ("speed", "torque")),
+    )
+    if told is None or speed is None or torque is None:
+        raise InvalidInput(f"{log.path} does not say what stiffness and limits the servos had")
     return fit(
         ticks["time"][rows],
         ticks["q_target"][rows],
         ticks["q"][rows],
         ticks["velocity"][rows],
         ticks["torque"][rows],
-        speed_limit=float(log.run["limits"]["speed_limit"]),
-        torque_limit=float(log.run["limits"]["torque_limit"]),
-        told=float(log.run["stiffness_nm_per_rad"]),
+        speed_limit=speed,
+        torque_limit=torque,
+        told=told,
     )
 
 
@@ -129,9 +135,9 @@ def fit(
     velocity: Floats,
     torque: Floats,
     *,
-    speed_limit: float,
-    torque_limit: float,
-    told: float,
+    speed_limit: Floats | float,
+    torque_limit: Floats | float,
+    told: Floats | float,
 ) -> Fit:
     """Fit the joints' dynamics to samples.
 
@@ -139,9 +145,9 @@ def fit(
         time: of the samples, rising, ``(T,)`` [s].
         q_target: set-points sent at those times, ``(T, d)`` [rad].
         q, velocity, torque: as measured, ``(T, d)`` [rad], [rad/s], [N m].
-        speed_limit: of the servos' profiles [rad/s].
-        torque_limit: of the servos [N m]; samples at it do not count.
-        told: the stiffness that the servos were told [N m/rad].
+        speed_limit: of the servos' profiles, of all or each ``(d,)`` [rad/s].
+        torque_limit: of the servos, as well [N m]; samples at it do not count.
+        told: the stiffness that the servos were told, as well [N m/rad].
 
     Raises:
         InvalidInput: no joint moved.
@@ -155,7 +161,8 @@ def fit(
         )
     moving = _moving(time, q_target) & moved & np.isfinite(q)
     moving &= ~(np.abs(torque) >= torque_limit)  # what is not measured counts
-    samples = _Samples(time, q_target[:, moved], q[:, moved], moving[:, moved], speed_limit)
+    speed, told = (np.broadcast_to(one, moved.shape)[moved] for one in (speed_limit, told))
+    samples = _Samples(time, q_target[:, moved], q[:, moved], moving[:, moved], speed)
     laws = _servo_laws(samples, velocity[:, moved], torque[:, moved])
     parameters = _search(samples, laws.latency)
     dynamics = _scaled(samples, parameters, laws, told)
@@ -182,7 +189,7 @@ class _Samples:
     """
 
     def __init__(
-        self, time: Floats, q_target: Floats, q: Floats, moving: Bools, speed_limit: float
+        self, time: Floats, q_target: Floats, q: Floats, moving: Bools, speed_limit: Floats
     ) -> None:
         self.time, self.q, self.moving = time, q, moving
         self._speed, self._target = speed_limit, q_target
@@ -342,7 +349,7 @@ def _search(samples: _Samples, latency: Floats) -> Floats:
     return here
 
 
-def _scaled(samples: _Samples, parameters: Floats, laws: _ServoLaws, told: float) -> JointDynamics:
+def _scaled(samples: _Samples, parameters: Floats, laws: _ServoLaws, told: Floats) -> JointDynamics:
     """With units: what the measured torque, or else what the servos were told, makes of them."""
     rate, ratio, dead = np.exp(parameters[:, _LAW].T)
     measured = np.isfinite(laws.stiffness)

@@ -26,6 +26,9 @@ from typing import Any
 import numpy as np
 
 from dexctl.exceptions import InvalidInput, MissingExtra
+from dexctl.files import is_path
+from dexctl.hand import HandModel
+from dexctl.state import Floats
 from hardware.log_process import FRAME, TOPICS
 
 _PIPE_BYTES = 1 << 20  # about 8 s of ticks at 50 Hz; the kernel may grant less
@@ -204,6 +207,68 @@ class Log:
     cut: bool
     messages: int = 0
     damage: str = ""
+
+
+def hand_of(log: Log, asked: str | None = None) -> str:
+    """Name or file of the hand ``asked`` for, else of the one that a log is of.
+
+    Raises:
+        InvalidInput: none is asked for, and the log does not say it.
+    """
+    if asked is not None:
+        return asked
+    scene, files = (log.run.get(name) for name in ("scene", "hand_files"))
+    named = scene.get("hand") if isinstance(scene, Mapping) else None
+    # logs from before files were told by their absolute paths
+    if isinstance(named, str) and is_path(named) and not Path(named).expanduser().is_file():
+        elsewhere = files.get("toml") if isinstance(files, Mapping) else None
+        named = elsewhere if isinstance(elsewhere, str) else named
+    if not isinstance(named, str):
+        raise InvalidInput(f"{log.path} does not say which hand it is of; expected --hand")
+    return named
+
+
+def check_joints(log: Log, hand: HandModel) -> None:
+    """Refuse a log of another hand.
+
+    Raises:
+        InvalidInput: its joints are not those of ``hand``.
+    """
+    count, names = log.ticks["q"].shape[1], log.run.get("joints")
+    asked = "expected --hand with the hand of the log"
+    if count != hand.nq:
+        raise InvalidInput(f"{log.path} has {count} joints, and {hand.name} has {hand.nq}; {asked}")
+    known = names if isinstance(names, list) and len(names) == count else hand.joint_names
+    for j, (said, own) in enumerate(zip(known, hand.joint_names, strict=True)):
+        if said != own:
+            raise InvalidInput(
+                f"joint {j + 1} of {log.path} is {said}, and that of {hand.name} is {own}; {asked}"
+            )
+
+
+def of_joints(run: Mapping[str, Any], count: int, *path: str) -> Floats | None:
+    """What a log says first of each of ``count`` joints; None where it does not say it.
+
+    Args:
+        run: `Log.run`.
+        count: of the joints, d.
+        path: where it stands, as one number for all joints or as d numbers.
+    """
+    value: Any = run
+    for name in path:
+        value = value.get(name) if isinstance(value, Mapping) else None
+    found = value if isinstance(value, list) else [value] * count
+    numbers = all(isinstance(one, int | float) and not isinstance(one, bool) for one in found)
+    if len(found) != count or not numbers or not np.isfinite(found).all():
+        return None
+    return np.array(found, float)
+
+
+def limits_of(run: Mapping[str, Any], count: int, name: str) -> Floats | None:
+    """The "speed_limit" or "torque_limit" ``(d,)`` that each joint had [rad/s], [N m], or None."""
+    found = of_joints(run, count, "joint_limits", name)
+    # logs from before each joint had its own
+    return of_joints(run, count, "limits", name) if found is None else found
 
 
 def read_log(path: str | Path) -> Log:

@@ -22,8 +22,8 @@ from dexctl.report.style import (
 )
 from dexctl.state import Floats
 from hardware.figures import figures_of_merit, in_full, in_words, object_turn
-from hardware.findings import findings, joint_names, torque_limit, touch_threshold
-from hardware.log import Log
+from hardware.findings import findings, joint_names, span, torque_limits, touch_thresholds
+from hardware.log import Log, limits_of, of_joints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,10 +86,14 @@ def _about(log: Log) -> list[tuple[str, str]]:
         for key, words in _RUN.items()
         if not isinstance(value := log.run.get(key, {}), dict | list)
     ]
+    count = len(joints) if isinstance(joints := log.run.get("joints"), list) else 1
+    for key in ("stiffness_nm_per_rad", "damping_nms_per_rad"):
+        each = of_joints(log.run, count, key)
+        if isinstance(log.run.get(key), list) and each is not None:
+            rows.append((_RUN[key], span(each)))
     for name, unit in (("speed_limit", "rad/s"), ("torque_limit", "N m")):
-        limits = log.run.get("limits")
-        if isinstance(limits, dict) and isinstance(value := limits.get(name), float | int):
-            rows.append((f"{name.replace('_', ' ')} [{unit}]", f"{value:g}"))
+        if (each := limits_of(log.run, count, name)) is not None:
+            rows.append((f"{name.replace('_', ' ')} [{unit}]", span(each)))
     return rows
 
 
@@ -131,21 +135,25 @@ def _tracking(log: Log) -> str:
 
 def _torque(log: Log) -> str:
     caption = "Torque by what the servos measure."
-    limit = torque_limit(log)
-    if limit is not None:
-        caption += f" The limit is {limit:g} N m: thin lines, where it is near."
+    limits = torque_limits(log)
+    if limits is not None:
+        caption += f" The limit is {span(limits)} N m: thin lines, where it is near."
     return _by_finger(
         log, log.ticks["torque"], "torque [N m]", "torque over time", caption,
-        [] if limit is None else [-limit, limit],
+        [] if limits is None else [sign * each for each in np.unique(limits) for sign in (-1, 1)],
     )  # fmt: skip
 
 
 def _force(log: Log) -> str:
-    threshold = touch_threshold(log)
-    caption = "" if threshold is None else f"Thin line: what counts as touch, {threshold:g} N."
+    thresholds = touch_thresholds(log)
+    caption = ""
+    if len(thresholds) == 1:
+        caption = f"Thin line: what counts as touch, {thresholds[0]:g} N."
+    elif thresholds:
+        caption = "Thin lines: touch begins at {:g} N and ends below {:g} N.".format(*thresholds)
     return _by_finger(
         log, log.ticks["contact_force"], "normal force [N]", "forces over time", caption,
-        [] if threshold is None else [threshold],
+        thresholds,
     )  # fmt: skip
 
 

@@ -26,6 +26,14 @@ HOLDING = SceneConfig(
 """The hand of the thesis on servos, with an object in it; its latency is what the servos have."""
 EMPTY = replace(HOLDING, object=(NOTHING,))
 """The same hand with nothing in it."""
+ASKED = replace(EMPTY, stiffness=None, damping=None)
+"""What commands begin with: gains are those that the hand's toml says, else those of `HOLDING`."""
+HELP = {
+    name: f"{name.capitalize()} of the joints' servos [{unit}]; none: as [servos] of the hand's "
+    f"toml has it, else {getattr(HOLDING, name):g}."
+    for name, unit in (("stiffness", "N m/rad"), ("damping", "N m s/rad"))
+}
+"""What of the gains is another thing on servos than in the simulator."""
 
 CLOCK = ("control_period", "substeps")
 """Settings that a servo hand does not have: its control period is the controller's."""

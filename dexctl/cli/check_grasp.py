@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from rich.text import Text
 
 from dexctl.cli.checks import check_count, check_seconds, make_folder
 from dexctl.cli.output import notes, print_json, progress, results, table, to_json
@@ -94,9 +95,7 @@ class CheckGrasp:
         if failure.closest is not None and not np.isnan(failure.closest.gap).all():
             gaps = zip(names, (1000 * failure.closest.gap).round(1) + 0.0, strict=True)
             far = ", ".join(f"{name} {gap:g}" for name, gap in gaps)
-            console.print(
-                f"from touching, in the attempt that came closest [mm]: {far}", markup=False
-            )
+            console.print(f"from touching, in the attempt that came closest [mm]: {far}")
         if folder is None:
             return
         from dexctl.files import write_text
@@ -122,7 +121,7 @@ class CheckGrasp:
         try:
             draw_failure(failure, folder / "not_held.png")
         except SimulationError as error:
-            console.print(f"no picture: {error}", markup=False)
+            console.print(f"no picture: {error}")
 
     def _states(self) -> GraspStates | None:
         """Those of the file that are of the object, as many as are wanted."""
@@ -199,7 +198,7 @@ class CheckGrasp:
         try:
             recorder = Recorder(scene_of(sim), None)
         except SimulationError as error:
-            console.print(f"no pictures: {error}", markup=False)
+            console.print(f"no pictures: {error}")
         else:
             with recorder, progress(console) as bar:
                 for i in bar.track(range(min(len(qpos), PICTURES)), description="drawing"):
@@ -213,7 +212,7 @@ class CheckGrasp:
         what = f"{self.scene.hand_name} holds a {self.scene.object[0]}, {self.scene.palm}"
         kind = "disturbed grasps" if self.scene.initial_states is None else "grasps of the file"
         count = f": {found['grasps']} {kind}, median (lowest to highest)" if many else ""
-        console.print(f"[bold]{what}{count}[/bold]")
+        console.print(f"{what}{count}", style="bold")
         if not many:
             console.print(_finger_table(found["fingers"]), "")
         static, dynamic = found["static"], found["dynamic"]
@@ -227,9 +226,9 @@ class CheckGrasp:
             ("isotropy", found["isotropy"], 3),
             ("stability residual", found["stability_residual"], 3),
             (f"holds its weight in the cones {limits}", static["holds_weight"], None),
-            (r"largest normal force needed \[N]", static["largest_normal_force_n"], 2),
+            ("largest normal force needed [N]", static["largest_normal_force_n"], 2),
             ("static check", static["stable"], None),
-            (rf"moves when held for {self.seconds:g} s \[mm]", 1e3 * dynamic["displacement_m"], 1),
+            (f"moves when held for {self.seconds:g} s [mm]", 1e3 * dynamic["displacement_m"], 1),
             ("dynamic check", dynamic["stable"], None),
         ):
             shown.add_row(label, _spread(np.asarray(values), digits))
@@ -271,11 +270,11 @@ def _finger_table(fingers: list[dict[str, Any]]) -> Any:
     return shown
 
 
-def _spread(values: np.ndarray, digits: int | None) -> str:
+def _spread(values: np.ndarray, digits: int | None) -> str | Text:
     """One value, or what many come to; yes or no without ``digits``."""
     if digits is None:
         if len(values) == 1:
-            return "yes" if values[0] else "[bold red]no[/bold red]"
+            return "yes" if values[0] else Text("no", "bold red")
         return f"{values.sum()} of {len(values)}"
     if len(values) == 1:
         return f"{values[0]:.{digits}f}"

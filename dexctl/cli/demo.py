@@ -147,7 +147,7 @@ class _Work:
             except (SimulationError, UnknownName, RoomShadowed) as error:
                 if name != controllers.POLICIES:
                     raise
-                self.console.print(f"nothing learned: {error}", markup=False)
+                self.console.print(f"nothing learned: {error}")
                 continue
             if np.isclose(controller.control_period, config.control_period):
                 yield name, controller
@@ -169,8 +169,9 @@ class _Work:
         demo = self.demo
         console = results()
         console.print(
-            f"[bold]{demo.scene.hand_name} turns a {self.scene.object} {words.about(demo.axis)}, "
-            f"{demo.scene.palm}: one trial of {demo.seconds:g} s each, seed {demo.seed}[/bold]",
+            f"{demo.scene.hand_name} turns a {self.scene.object} {words.about(demo.axis)}, "
+            f"{demo.scene.palm}: one trial of {demo.seconds:g} s each, seed {demo.seed}",
+            style="bold",
             soft_wrap=True,
         )
         first, *others = ("\n".join(lines) for lines in HEADINGS)
@@ -189,7 +190,7 @@ class _Work:
         try:
             recorder = self._recorder(None, STILL_SIZE)
         except SimulationError as error:
-            self.console.print(f"no video and no pictures: {error}", markup=False)
+            self.console.print(f"no video and no pictures: {error}")
             return
         self.can_draw = True
         total = KEY_FRAMES * len(self.trials) + PICTURE_FRAMES

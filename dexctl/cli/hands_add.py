@@ -83,7 +83,7 @@ class Add:
         hand = config.build()
         config.write(out, reasons)  # what is known so far, whatever comes of the grasp
         console = notes()
-        console.print(f"dexctl: {hand.n_fingers} fingers, {hand.nq} joints", markup=False)
+        console.print(f"dexctl: {hand.n_fingers} fingers, {hand.nq} joints")
         failure, scene = None, None
         if self.grasp:
             try:
@@ -91,7 +91,7 @@ class Add:
                 scene.settled  # noqa: B018  as written, with its digits and its gains
             except SimulationError as error:
                 failure = error
-                console.print(f"dexctl: no grasp: {error}", markup=False)
+                console.print(f"dexctl: no grasp: {error}")
                 scene = getattr(error, "scene", None)
             config.write(out, reasons)
         pictures = _draw(out, scene, config, reasons, failure)
@@ -110,7 +110,7 @@ class Add:
         else:
             results().print(facts((f"{s}: {v}", r) for s, v, r in rows))
             for picture in pictures:
-                console.print(f"look at {picture}", markup=False)
+                console.print(f"look at {picture}")
             word = shlex.quote(str(out))
             console.print(f"then: dexctl hands check {word}; dexctl rotate --hand {word}")
         return 0 if failure is None else 1
@@ -128,7 +128,7 @@ class Add:
         from dexctl.sim import Scene
 
         def say(text: str) -> None:
-            notes().print(f"dexctl: {text}", markup=False)
+            notes().print(f"dexctl: {text}")
 
         stiffer = stiffened(hand)
         if stiffer:
@@ -227,5 +227,5 @@ def _draw(
             failure=failure,
         )
     except DexctlError as error:
-        notes().print(f"dexctl: no pictures: {error}", markup=False)
+        notes().print(f"dexctl: no pictures: {error}")
         return []

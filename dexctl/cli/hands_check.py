@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+from rich.text import Text
 
 from dexctl.cli.checks import check_count, check_seconds
 from dexctl.cli.output import notes, print_json, results, table
@@ -53,7 +54,7 @@ class Check:
         scenes: list[Scene] = []
         found = []
         shown = table("check", "", "found")
-        words = {True: "yes", False: "[bold red]no[/bold red]", None: ""}
+        words = {True: "yes", False: Text("no", "bold red"), None: ""}
         for one in check_hand(
             hand, self.object, seconds=self.seconds, trials=self.trials, seed=self.seed,
             built=scenes.append,
@@ -73,7 +74,7 @@ class Check:
                     checks=found,
                 )
             except DexctlError as error:
-                notes().print(f"dexctl: no pictures: {error}", markup=False)
+                notes().print(f"dexctl: no pictures: {error}")
         if self.json:
             checks = [one._asdict() for one in found]
             print_json(

@@ -1,4 +1,8 @@
-"""What commands print: results on stdout, everything else on stderr."""
+"""What commands print: results on stdout, everything else on stderr.
+
+Text is printed as it is: names, paths and messages of others may hold square brackets, which rich
+would take for markup, leave out or raise an error about. What stands out has a style instead.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +12,18 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 
 def notes() -> Console:
     """Where progress and remarks go: stderr, so that stdout can be piped."""
-    return Console(stderr=True, highlight=False, soft_wrap=True)
+    return Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 
 def results() -> Console:
     """Where tables go."""
-    return Console(highlight=False)
+    return Console(highlight=False, markup=False, emoji=False)
 
 
 def print_json(result: Mapping[str, Any]) -> None:
@@ -45,7 +48,7 @@ def table(*headings: str, right: Collection[str] = (), gap: int = 3, wrap: bool 
     made = Table(box=None, show_header=bool(headings), pad_edge=False, padding=(0, gap, 0, 0))
     for heading in headings:
         justify = "right" if heading in right else "left"
-        made.add_column(escape(heading), justify=justify, no_wrap=not wrap)
+        made.add_column(heading, justify=justify, no_wrap=not wrap)
     return made
 
 
@@ -53,14 +56,14 @@ def facts(rows: Iterable[tuple[str, str]]) -> Table:
     """A table of what, and its value."""
     made = table()
     for row in rows:
-        made.add_row(*map(escape, row))
+        made.add_row(*row)
     return made
 
 
 def progress(console: Console) -> Progress:
     """A progress bar with what it is about, the part done and the time left."""
     return Progress(
-        TextColumn("{task.description:<34}"),
+        TextColumn("{task.description:<34}", markup=False),
         BarColumn(bar_width=28),
         TextColumn("{task.percentage:>4.0f} %"),
         TimeElapsedColumn(),

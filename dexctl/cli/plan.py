@@ -301,7 +301,8 @@ def _print(tree: Tree, found: dict[str, Any]) -> None:
             "hold in simulation",
             f"{100 * part['share']:.0f} % ({100 * low:.0f} to {100 * high:.0f}) of {part['of']}",
         )
-    results().print(f"[bold]{header.hand} turns a {header.object}, {header.expansion}[/bold]\n")
+    title = f"{header.hand} turns a {header.object}, {header.expansion}\n"
+    results().print(title, style="bold")
     results().print(shown)
 
 

@@ -182,8 +182,12 @@ class Rotate:
         title, scene = title_of(self.controller), self.scene
         console, shown = results(), table()
         console.print(
-            f"[bold]{title}: {scene.hand_name} turns a {scene.object[0]} {words.about(self.axis)}, "
-            f"{scene.palm}[/bold]\n"
+            f"{title}: {scene.hand_name} turns a {scene.object[0]} {words.about(self.axis)}, "
+            f"{scene.palm}",
+            style="bold",
+            soft_wrap=True,
+        )
+        console.print(
             f"{self.num_envs} trials of {self.seconds:g} s, seeds {self.seed} to "
             f"{self.seed + self.num_envs - 1}; median (10 % to 90 %), share (95 % interval)\n",
             soft_wrap=True,

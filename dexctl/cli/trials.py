@@ -40,7 +40,7 @@ def simulation(
         failure.add_note("`dexctl check-grasp --out DIR` says what was tried, and draws it")
         raise
     for note in scene_of(found).notes:
-        notes().print(note, style="dim", markup=False)
+        notes().print(note, style="dim")
     return found
 
 
@@ -104,7 +104,7 @@ def make_controller(
             raise
         raise SimulationError(f"{name} cannot drive {hand.name}: {error}") from error
     if remark := controllers.other_object(name, made, config.object):
-        notes().print(f"dexctl: {remark}", markup=False)
+        notes().print(f"dexctl: {remark}")
     return made
 
 

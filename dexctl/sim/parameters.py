@@ -112,8 +112,10 @@ PARAMETERS: dict[str, Parameter] = {
 }
 
 
-def set_on(scene: Scene, parameters: Mapping[str, float]) -> None:
+def set_on(scene: Scene, parameters: Mapping[str, ArrayLike]) -> None:
     """Give a scene itself other parameters, those of `PARAMETERS`, before it is simulated.
+
+    Values are numbers, or ``(1, d)`` for those that are of joints.
 
     Raises:
         UnknownName, InvalidInput: no such parameter, or a value out of range.

@@ -31,7 +31,7 @@ from hardware.calibration import TURN, Calibration
 from hardware.cli.options import HandOptions
 from hardware.emulator import Emulator
 from hardware.exceptions import ServoError
-from hardware.scene import EMPTY
+from hardware.scene import ASKED
 
 _POSES = ("zero", "upper", "lower")
 _LEAST_TRAVEL = 0.2  # less, and the two ends are one pose [rad]
@@ -115,7 +115,7 @@ class Calibrate(HandOptions):
     """Seed of the emulated signs and zeros."""
     json: Switch = False
     """Print one JSON object instead of the summary."""
-    scene: Annotated[SceneConfig, only(EMPTY, "hand")] = EMPTY
+    scene: Annotated[SceneConfig, only(ASKED, "hand")] = ASKED
 
     def run(self) -> int:
         self.check()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.text import Text
 
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results, table, to_json
@@ -251,7 +252,7 @@ class _Look:
         return ""
 
     def _go(self, goal: Floats) -> None:
-        end = time.monotonic() + _MOVE / self.hand.limits.speed_limit + _MOVE_SECONDS
+        end = time.monotonic() + _MOVE / self.hand.speed_limit.min() + _MOVE_SECONDS
         while time.monotonic() < end:
             self.hand.sample()
             self.hand.write(goal)
@@ -313,6 +314,6 @@ class _Look:
         if self.torque:
             console.print(self.torque)
         for problem in self.problems:
-            console.print(f"[bold]problem:[/bold] {problem}", soft_wrap=True)
+            console.print(Text.assemble(("problem:", "bold"), f" {problem}"), soft_wrap=True)
         if not self.problems:
             console.print("all is well")

@@ -14,12 +14,11 @@ from dexctl import HandModel, hands
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import print_json, results, table, to_json
 from dexctl.cli.parsing import Switch
-from dexctl.exceptions import InvalidInput
 from dexctl.files import aside, write_text
 from dexctl.hands.identity import identity
 from dexctl.state import Floats
 from hardware.identification import EXPLAINED, Fit, JointDynamics, identify
-from hardware.log import Log, read_log
+from hardware.log import check_joints, hand_of, read_log
 
 RANGES, FIGURES, PICTURE = "ranges.toml", "identification.json", "identification.png"
 
@@ -45,12 +44,8 @@ class Identify:
     def run(self) -> int:
         log = read_log(self.log)
         fit = identify(log)
-        hand = hands.load(self._hand(log))
-        if hand.nq != fit.q.shape[1]:
-            raise InvalidInput(
-                f"{self.log} has {fit.q.shape[1]} joints, and {hand.name} has {hand.nq}; "
-                "expected --hand with the hand of the log"
-            )
+        hand = hands.load(hand_of(log, self.hand))
+        check_joints(log, hand)
         armature = rotor_inertia(hand, fit)
         ranges = ranges_of(hand, fit.dynamics, armature, log.run)
         folder = make_folder(self.out if self.out is not None else self.log.parent)
@@ -74,16 +69,6 @@ class Identify:
             _show(names, fit.dynamics, armature)
             results().print(f"in {folder}: {RANGES}, {FIGURES} and {PICTURE}", soft_wrap=True)
         return 0
-
-    def _hand(self, log: Log) -> str:
-        """The hand asked for, or that of the log."""
-        if self.hand is not None:
-            return self.hand
-        scene = log.run.get("scene")
-        named = scene.get("hand") if isinstance(scene, dict) else None
-        if not isinstance(named, str):
-            raise InvalidInput(f"{self.log} does not say which hand it is of; expected --hand")
-        return named
 
 
 def rotor_inertia(hand: HandModel, fit: Fit) -> Floats:
@@ -118,11 +103,14 @@ def ranges_of(
 
     model = lean_model(hand_spec(hand).spec, hand)
     columns = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
-    damping = float(run["damping_nms_per_rad"]) + model.dof_damping[columns]
+    told_stiffness, told_damping = (
+        np.asarray(run[name], float) for name in ("stiffness_nm_per_rad", "damping_nms_per_rad")
+    )
+    damping = told_damping + model.dof_damping[columns]
     explained = found.explained
     told = explained | found.measured_torque
     every = {
-        "stiffness_range": (found.stiffness / float(run["stiffness_nm_per_rad"]), told),
+        "stiffness_range": (found.stiffness / told_stiffness, told),
         "damping_range": (found.damping / damping, explained),
         "gear_friction_range": (found.friction, explained),
         "armature_range": (armature, explained),

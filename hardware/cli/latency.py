@@ -13,7 +13,7 @@ from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.files import write_text
 from dexctl.state import Floats
-from hardware.cli.options import HandOptions, busy
+from hardware.cli.options import HandOptions, busy, in_a_line, teller
 from hardware.motions import StepAndChirp, lag
 from hardware.runner import Runner
 from hardware.state_machine import State
@@ -53,17 +53,16 @@ class Latency(HandOptions):
         motion = StepAndChirp(model, joint, control_period=period)
         samples: list[tuple[float, float, float]] = []
         with self.open(self.limits(), period) as session:
-            hand, console = session.hand, notes()
 
             def keep(time: float, q: Floats, q_target: Floats) -> None:
                 samples.append((time, float(q_target[joint]), float(q[joint])))
 
             runner = Runner(
-                hand,
+                session.hand,
                 motion,
                 needs_tactile=False,
                 on_tick=keep,
-                on_event=lambda said: console.print(f"{said.event.value}: {said.detail}"),
+                on_event=teller(in_a_line),
             )
             found = runner.run(motion.seconds)
         if found.outcome is not State.IDLE or len(samples) < 100:

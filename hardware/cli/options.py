@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from dexctl import HandModel, JointTouch, hands
+from dexctl.cli.output import notes
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import differing, only
@@ -23,13 +24,13 @@ from hardware.discovery import BAUD_RATES, Found, discover, find_baudrate
 from hardware.emulated_touch import EmulatedTactile
 from hardware.emulator import Emulator
 from hardware.emulator.dynamics import LONGEST_LATENCY
-from hardware.hand import ServoHand
+from hardware.hand import ServoHand, joint_limits
 from hardware.limits import Limits
 from hardware.models import XM430_W210, ServoModel
 from hardware.models import model as servo_model
 from hardware.registers import CURRENT_LIMIT
-from hardware.run_report import RunReport
-from hardware.scene import EMPTY, NOTHING, OF_A_REAL_HAND
+from hardware.run_report import RunEvent, RunReport
+from hardware.scene import ASKED, HELP, HOLDING, NOTHING, OF_A_REAL_HAND
 from hardware.state_machine import Event
 from hardware.tactile import SerialTactile, TactileSource
 from hardware.units import SimGains, to_servo
@@ -77,7 +78,9 @@ class HandOptions:
     """Models of the emulated servos, one for all or one each; real ones say it themselves."""
     patience: float = 1.0
     """Allow so many times more silence, age and overruns, 1 to 10: to emulate on a busy machine."""
-    scene: Annotated[SceneConfig, only(EMPTY, "hand", "stiffness", "damping", "limits")] = EMPTY
+    scene: Annotated[
+        SceneConfig, only(ASKED, "hand", "stiffness", "damping", "limits", texts=HELP)
+    ] = ASKED
     _ids = None  # of the servos in the order of the joints, where they were discovered
 
     def check(self) -> None:
@@ -106,8 +109,22 @@ class HandOptions:
             )
         if self.calibration is not None:
             Calibration.load(self.calibration)
-        for model in models:
-            to_servo(self.gains(self.limits()), model.loop, model.register(CURRENT_LIMIT))
+        self._check_gains(models)
+
+    def _check_gains(self, models: list[ServoModel]) -> None:
+        """InvalidInput where a register cannot hold what was asked for, or what comes of it."""
+        limits, hand = self.limits(), hands.load(self.scene.hand)
+        asked = {"torque_limit": limits.torque_limit, "speed_limit": limits.speed_limit}
+        each = models * hand.nq if len(models) == 1 else models
+        # the emulator says it where there are not as many models as joints
+        for joint, gains, model in zip(
+            hand.joint_names, self.gains(limits, hand), each, strict=False
+        ):
+            try:
+                for one in (gains._replace(**asked), gains):
+                    to_servo(one, model.loop, model.register(CURRENT_LIMIT))
+            except InvalidInput as error:
+                raise InvalidInput(f"{joint}: {error}") from None
 
     def emulated_models(self) -> list[ServoModel]:
         """The models of the emulated servos.
@@ -135,17 +152,27 @@ class HandOptions:
         assert torque is not None
         return Limits(speed_limit=speed, torque_limit=torque).patient(self.patience)
 
-    def gains(self, limits: Limits) -> SimGains:
-        """Stiffness, damping and limits, of which each servo's registers are made.
+    def gains(self, limits: Limits, hand: HandModel) -> list[SimGains]:
+        """Stiffness, damping and limits of each joint, of which its servo's registers are made.
 
-        Raises:
-            InvalidInput: one of them is none.
+        Gains that were typed are every joint's; else they are what the hand's toml says in
+        ``[servos]``, and where that says nothing those of `hardware.scene.HOLDING`.
         """
-        stiffness, damping = self.scene.stiffness, self.scene.damping
-        if stiffness is None or damping is None:
-            name = "stiffness" if stiffness is None else "damping"
-            raise InvalidInput(f"{flags([name])} is none; expected a number, which servos are told")
-        return SimGains(stiffness, damping, limits.torque_limit, limits.speed_limit)
+        speed, torque = joint_limits(hand, limits)
+        columns = [
+            *(self._gain(name, hand) for name in ("stiffness", "damping")),
+            torque.tolist(),
+            speed.tolist(),
+        ]
+        return [SimGains(*row) for row in zip(*columns, strict=True)]
+
+    def _gain(self, name: str, hand: HandModel) -> list[float]:
+        """Stiffness or damping of each joint."""
+        typed = getattr(self.scene, name)
+        if typed is not None:
+            return [typed] * hand.nq
+        usual = getattr(HOLDING, name)
+        return hand.config.servos.of(name, hand.joint_names, usual).tolist()
 
     def load(self) -> tuple[HandModel, Calibration]:
         """The hand and how its joints lie on the servos."""
@@ -205,6 +232,7 @@ class HandOptions:
             seed: of what is random in an emulated scene.
         """
         model, calibration = self.load()
+        gains = self.gains(limits, model)
         trusted = self.scene.sensing.touch_threshold
         with ExitStack() as stack:
             emulator, source, grasp = None, None, None
@@ -219,7 +247,7 @@ class HandOptions:
                 if held is not None:
                     source = EmulatedTactile(emulator, trusted_force=trusted)
             elif held is not None and held.object != (NOTHING,):
-                grasp = held.scenes(model)[0].settled.q_target.copy()
+                grasp = _grasp(held, model, gains)
             if tactile is not None and not self.emulate:
                 source = SerialTactile(tactile, model.n_fingers, trusted_force=trusted)
                 stack.callback(source.close)
@@ -233,23 +261,34 @@ class HandOptions:
             bus = stack.enter_context(Bus(port, ids, baudrate=baudrate, timeout=timeout))
             how, felt = self.scene.sensing.touch, None
             if how != "full":
-                gains = self.gains(limits)
                 felt = JointTouch(
-                    model, gains.kp, gains.kv, self.scene.sensing.joint_touch,
+                    model,
+                    np.array([one.kp for one in gains]),
+                    np.array([one.kv for one in gains]),
+                    self.scene.sensing.joint_touch,
                     control_period=control_period,
-                )  # fmt: skip
+                )
             hand = ServoHand(
                 bus,
                 model,
                 calibration,
                 limits=limits,
-                gains=self.gains(limits),
+                gains=gains,
                 tactile=None if how == "joint-torque" else source,
                 joint_touch=felt,
                 gravity=None if held is None else held.gravity,
                 control_period=control_period,
             )
             yield Session(model, bus, hand, emulator, source, grasp)
+
+
+def _grasp(held: SceneConfig, model: HandModel, gains: list[SimGains]) -> Floats:
+    """Set-points ``(d,)`` [rad] of the grasp that servos with these gains settle in."""
+    from dexctl.sim.parameters import set_on
+
+    (scene,) = replace(held, stiffness=None, damping=None).scenes(model)
+    set_on(scene, {"kp": [[one.kp for one in gains]], "kv": [[one.kv for one in gains]]})
+    return scene.settled.q_target.copy()
 
 
 def flags(settings: Iterable[str]) -> str:
@@ -279,6 +318,26 @@ def emulate(
         seed=seed,
         models=models,
     )
+
+
+def teller(line: Callable[[RunEvent], str]) -> Callable[[RunEvent], None]:
+    """For `Runner(on_event=...)`: prints ``line`` of each event on stderr, and never raises.
+
+    A terminal that is gone or cannot show a letter must not take the torque off at once, in place
+    of what the event asks for.
+    """
+    console = notes()
+
+    def tell(said: RunEvent) -> None:
+        with suppress(Exception, SystemExit):  # rich makes SystemExit of a pipe that is closed
+            console.print(line(said))
+
+    return tell
+
+
+def in_a_line(said: RunEvent) -> str:
+    """An event, for people."""
+    return f"{said.event.value}: {said.detail}"
 
 
 def busy(options: HandOptions, found: RunReport) -> str:

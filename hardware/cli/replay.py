@@ -17,13 +17,13 @@ from dexctl.settings import only
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from hardware import report
-from hardware.cli.options import HandOptions, busy
+from hardware.cli.options import HandOptions, busy, in_a_line, teller
 from hardware.cli.run import LOG, about, finish, keep_earlier
 from hardware.figures import figures_of_merit
-from hardware.log import Log, LogWriter, read_log
+from hardware.log import Log, LogWriter, check_joints, hand_of, read_log
 from hardware.motions import Replay
 from hardware.runner import Runner
-from hardware.scene import EMPTY
+from hardware.scene import ASKED, HELP
 
 
 @dataclass(kw_only=True)
@@ -36,20 +36,26 @@ class ReplayLog(HandOptions):
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The MCAP file of a run."""
+    hand: str | None = None
+    """Name or file of the hand; none: as the log has it."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html of the replay."""
     json: Switch = False
     """Print one JSON object instead of the summary."""
     scene: Annotated[
-        SceneConfig, only(EMPTY, "hand", "stiffness", "damping", "limits.action_latency")
-    ] = EMPTY
+        SceneConfig,
+        only(ASKED, "stiffness", "damping", "limits.action_latency", texts=HELP),
+    ] = ASKED
 
     def run(self) -> int:
         self.emulate = self.emulate or self.port is None
         self.check()
         log = read_log(self.log)
         period, q_target = rows_of(log)
+        self.scene = replace(self.scene, hand=hand_of(log, self.hand))
+        self.check()  # of that hand
         model, calibration = self.load()
+        check_joints(log, model)
         folder = make_folder(self.out)
         target = folder / LOG
         if target.exists() and self.log.exists() and target.samefile(self.log):
@@ -60,18 +66,18 @@ class ReplayLog(HandOptions):
         replay = Replay(model, q_target, control_period=period)
         with self.open(limits, period) as session, LogWriter(target) as writer:
             name = f"replay of {self.log.name}"
-            writer.write("/run", about(self, name, model, calibration, limits))
-            console = notes()
+            about_it = about(self, name, model, calibration, limits, self.scene)
+            writer.write("/run", about_it | {"rate_hz": 1.0 / period})
             runner = Runner(
                 session.hand,
                 replay,
                 needs_tactile=False,
                 log=writer,
-                on_event=lambda said: console.print(f"{said.event.value}: {said.detail}"),
+                on_event=teller(in_a_line),
             )
             found = runner.run(len(q_target) * period, approach=q_target[0])
         if hint := busy(self, found):
-            console.print(hint)
+            notes().print(hint)
         code = finish(found, folder, as_json=self.json)
         if not self.json and target.exists() and "q" in (again := read_log(target)).ticks:
             results().print(f"joints against those of the log: {compare(log, again):.4g} rad RMS")

@@ -19,23 +19,23 @@ from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.hands.identity import identity
-from dexctl.settings import only, to_plain
+from dexctl.settings import absolute, only, to_plain
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.validation import check_name
 from hardware import report
 from hardware.calibration import Calibration
-from hardware.cli.options import HandOptions, Session, busy, flags
+from hardware.cli.options import HandOptions, Session, busy, flags, teller
 from hardware.figures import figures_of_merit, in_full, in_words
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
 from hardware.motions import Chirp, Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
-from hardware.scene import AUTO, CLOCK, HOLDING, NOTHING, OF_AN_OBJECT
+from hardware.scene import ASKED, AUTO, CLOCK, HELP, HOLDING, NOTHING, OF_AN_OBJECT
 from hardware.state_machine import Event, State
 
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
-_HELD = replace(HOLDING, object=(AUTO,))
+_HELD = replace(ASKED, object=(AUTO,))
 _SETTINGS = tuple(name for name in SceneConfig.__dataclass_fields__ if name not in CLOCK)
 _MOTIONS = {"sine": Sine, "chirp": Chirp}  # of an empty hand
 _BLIND = ("hold", *_MOTIONS)  # controllers that do not go by touch
@@ -70,7 +70,7 @@ class Run(HandOptions):
     """Folder for run.mcap and report.html; those of an earlier run are renamed, not replaced."""
     json: Switch = False
     """Print one JSON object instead of the summary."""
-    scene: Annotated[SceneConfig, only(_HELD, *_SETTINGS)] = _HELD
+    scene: Annotated[SceneConfig, only(_HELD, *_SETTINGS, texts=HELP)] = _HELD
 
     def run(self) -> int:
         self.check()
@@ -101,7 +101,6 @@ class Run(HandOptions):
             )
             log = stack.enter_context(LogWriter(folder / LOG))
             log.write("/run", self._about(model, calibration, limits, held, period))
-            console = notes()
             runner = Runner(
                 session.hand,
                 controller,
@@ -109,9 +108,10 @@ class Run(HandOptions):
                 log=log,
                 seed=self.seed,
                 extra=lambda: truth(session),
-                on_event=lambda said: console.print(_line(said)),
+                on_event=teller(_line),
             )
             found = runner.run(self.seconds, approach=session.grasp)
+        console = notes()
         if not found.real_time:
             console.print("real-time scheduling was not permitted: expect late ticks")
         if hint := busy(self, found):
@@ -152,11 +152,10 @@ class Run(HandOptions):
         held: SceneConfig,
         period: float,
     ) -> dict[str, Any]:
-        return about(self, self.controller, model, calibration, limits) | {
+        return about(self, self.controller, model, calibration, limits, held) | {
             "object": held.object[0],
             "palm": held.palm,
             "touch": held.sensing.touch,
-            "scene": {name: v for name, v in to_plain(held).items() if name not in CLOCK},
             "rate_hz": 1.0 / period,
             "seed": self.seed,
         }
@@ -168,10 +167,13 @@ def about(
     model: HandModel,
     calibration: Calibration,
     limits: Limits,
+    scene: SceneConfig,
 ) -> dict[str, Any]:
-    """What a log says first."""
+    """What a log says first; files by their absolute paths, so that it can be read anywhere."""
     from dexctl.report.machine import machine
 
+    gains = options.gains(limits, model)
+    said = to_plain(absolute(scene, Path.cwd()))
     return {
         "controller": controller,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -182,12 +184,22 @@ def about(
         "joint_fingers": fingers_of(model),
         "servos": calibration.servo.tolist(),
         "calibration_date": None if options.calibration is None else calibration.date.isoformat(),
-        "stiffness_nm_per_rad": options.scene.stiffness,
-        "damping_nms_per_rad": options.scene.damping,
+        "stiffness_nm_per_rad": _one_or_each([one.kp for one in gains]),
+        "damping_nms_per_rad": _one_or_each([one.kv for one in gains]),
         "action_latency_s": options.scene.limits.action_latency,
         "limits": asdict(limits),
+        "joint_limits": {
+            "speed_limit": _one_or_each([one.speed_limit for one in gains]),
+            "torque_limit": _one_or_each([one.torque_limit for one in gains]),
+        },
+        "scene": {name: value for name, value in said.items() if name not in CLOCK},
         "machine": machine(),
     }
+
+
+def _one_or_each(values: list[float]) -> float | list[float]:
+    """One number where all joints have the same, else that of each."""
+    return values[0] if len(set(values)) == 1 else values
 
 
 def fingers_of(model: HandModel) -> list[int]:

@@ -1,9 +1,9 @@
 """The servos' shafts as the joints of a simulated hand that holds an object.
 
 The physics is `dexctl.sim`'s: the scene, timestep and actuators of the bare simulator. Its
-position actuators get the gains of the servos where all servos agree, so that the stiff part is
-integrated implicitly, as in the bare simulator; whatever else a servo asks for (less torque, other
-modes, gains of its own) becomes the set-point at which the actuator makes that torque.
+position actuators get the gains of their servos, so that the stiff part is integrated implicitly,
+as in the bare simulator; whatever else a servo asks for (less torque, other modes) becomes the
+set-point at which the actuator makes that torque.
 
 At power-on torque is off and nothing would hold the object. So somebody holds it still, as a
 person does at a real hand, until every finger has pressed on it for a while.
@@ -66,9 +66,7 @@ class MujocoHand(Joints):
         super().__init__(self._state.q, TIMESTEP)
         self._grasp = None if self._empty else self._state.q_target.tolist()
         self._anchor = self.q.copy()
-        self._kp = np.full(len(self.q), float(physics.stiffness[0]))
-        self._kv = np.zeros(len(self.q))
-        self._gains: tuple[float, float] | None = None
+        self._gains = np.zeros((2, len(self.q)))  # that the actuators have; 0: none were told
         # what ranges made of the gains in this run, as shares of those that servos are told
         draws = self._sim.randomiser
         self._kp_share, self._kv_share = (
@@ -78,6 +76,7 @@ class MujocoHand(Joints):
                 (draws.drawn.kv[0], draws.usual.kv[0]),
             )
         )
+        self._kp, self._kv = draws.drawn.kp[0].copy(), draws.drawn.kv[0].copy()
         self.supported = not self._empty
         self._held_at = self._object_pose()
         self._pressed = self._grasped = 0.0
@@ -126,17 +125,16 @@ class MujocoHand(Joints):
         self.torque = np.where(self.commands.torque_on, np.clip(force, -limit, limit), 0.0)
 
     def _take_gains(self) -> None:
-        """Give the actuators the gains of the driven servos, where those have the same ones."""
+        """Give the actuators of driven servos the gains that those have."""
         c = self.commands
-        driven = np.flatnonzero(c.torque_on)
-        if not len(driven):
+        told = np.where(c.torque_on & (c.kp > 0), [c.kp, c.kd], self._gains)
+        if (told == self._gains).all():
             return
-        kp, kd = float(c.kp[driven[0]]), float(c.kd[driven[0]])
-        same = (c.kp[driven] == kp).all() and (c.kd[driven] == kd).all()
-        if same and kp > 0 and (kp, kd) != self._gains:
-            self._gains = (kp, kd)
-            self._kp, self._kv = kp * self._kp_share, kd * self._kv_share
-            self._sim.sim.set_parameters(kp=self._kp[None], kv=self._kv[None])
+        new = (told != self._gains).any(axis=0)
+        self._gains = told
+        self._kp = np.where(new, told[0] * self._kp_share, self._kp)
+        self._kv = np.where(new, told[1] * self._kv_share, self._kv)
+        self._sim.sim.set_parameters(kp=self._kp[None], kv=self._kv[None])
 
     def _set_points(self) -> Floats:
         """Set-points ``(d,)`` [rad] at which the actuators make the torques of the servos."""

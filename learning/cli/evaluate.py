@@ -94,7 +94,7 @@ class Evaluate:
         trained = self._trained(protocol.scene.hand)
         for one in trained:
             if remark := one.subject.remark(protocol):
-                notes().print(f"dexctl: {remark}", markup=False)
+                notes().print(f"dexctl: {remark}")
         own = tuple(one.object for one in trained if self.transfer)
         replace(protocol.scene, object=(*own, *protocol.scene.object)).check_objects()
         folder = None if self.out is None else make_folder(self.out)

@@ -65,7 +65,7 @@ def write(
     try:
         _draw(folder, found, matrix)
     except MissingExtra as error:  # the numbers are worth more than the figures
-        notes().print(f"dexctl: {error}; no figures are drawn", markup=False)
+        notes().print(f"dexctl: {error}; no figures are drawn")
     write_text(folder / "evaluate.json", to_json(result) + "\n")
     notes().print(f"written: {folder / 'evaluate.json'}, with CSV files and figures beside it")
 
@@ -83,11 +83,11 @@ def _draw(folder: Path, found: Sequence[Evaluation], matrix: Transfer | None) ->
 def print_evaluations(who: str, protocol: Protocol, found: Sequence[Evaluation]) -> None:
     """A table for each object: its figures, or a row for each disturbance."""
     console = results()
-    console.print(f"[bold]{who}, {_setting(protocol)}[/bold]", soft_wrap=True)
+    console.print(f"{who}, {_setting(protocol)}", style="bold", soft_wrap=True)
     console.print(_episodes(protocol), soft_wrap=True)
     for name, group in groupby(found, key=lambda one: one.object):
         rows = list(group)
-        console.print(f"\n[bold]{name}[/bold]")
+        console.print(f"\n{name}", style="bold")
         console.print(_figures(rows[0]) if len(rows) == 1 else _disturbances(rows))
     broken = sum(int(one.diverged.sum()) for one in found)
     if broken:
@@ -97,7 +97,7 @@ def print_evaluations(who: str, protocol: Protocol, found: Sequence[Evaluation])
 def print_transfer(found: Transfer, protocol: Protocol) -> None:
     """The scores, with the rotations that they are of."""
     console = results()
-    console.print(f"[bold]Transfer, {_setting(protocol)}[/bold]", soft_wrap=True)
+    console.print(f"Transfer, {_setting(protocol)}", style="bold", soft_wrap=True)
     console.print(_episodes(protocol), soft_wrap=True)
     console.print(
         "Median rotation over that with the policy's own object (and the rotation itself)\n",

@@ -123,7 +123,9 @@ class Inspect:
         figures = found.rollouts.evaluation.figures()
         rotation = figures["rotation_median_rad"]
         console.print(
-            f"[bold]{self.subject}: {found.rollouts.evaluation.object}[/bold]\n"
+            f"{self.subject}: {found.rollouts.evaluation.object}", style="bold", soft_wrap=True
+        )
+        console.print(
             f"rotation {rotation.value:.2f} rad ({rotation.low:.2f} to {rotation.high:.2f}), "
             f"dropped {percent(figures['share_dropped'].value)}, sound grasp "
             f"{percent(found.grip()['sound_share'])} of the time held",
@@ -157,4 +159,4 @@ class _Bar:
 
     def remark(self, text: str) -> None:
         """A line above the bars."""
-        self._console.print(f"dexctl: {text}", markup=False)
+        self._console.print(f"dexctl: {text}")

@@ -116,12 +116,12 @@ class Sweep:
         try:
             files += draw(config, folder)
         except MissingExtra as error:
-            notes().print(f"dexctl: no figure: {error}", markup=False)
+            notes().print(f"dexctl: no figure: {error}")
         if self.json:
             print_json(found)
         else:
             _print(found)
-        notes().print(f"written: {', '.join(map(str, files))}", markup=False)
+        notes().print(f"written: {', '.join(map(str, files))}")
         return _failures(found, folder)
 
 
@@ -133,9 +133,9 @@ def _print(found: dict[str, Any]) -> None:
     shown = without_lines(*header, gap=2)
     for row in rows:
         shown.add_row(*row)
-    console.print(f"[bold]{found['name']}[/bold]\n")
+    console.print(f"{found['name']}\n", style="bold")
     console.print(shown)
-    console.print(f"\n{caption(found)}", markup=False)
+    console.print(f"\n{caption(found)}")
 
 
 def _failures(found: dict[str, Any], folder: Path) -> int:
@@ -145,12 +145,11 @@ def _failures(found: dict[str, Any], folder: Path) -> int:
     failed = [(name, one["error"]) for name, one in named if one["state"] == "failed"]
     console = notes()
     for name, error in failed:
-        console.print(f"dexctl: {name} failed: {error}", markup=False)
+        console.print(f"dexctl: {name} failed: {error}")
     if failed:
         console.print(
             f"dexctl: {len(failed)} failed; `dexctl sweep {folder}` tries again, from the last "
             "checkpoint, or from the beginning where the run's folder has been removed",
-            markup=False,
         )
     return 1 if failed else 0
 

@@ -103,7 +103,7 @@ class Display:
             self._live.update(self._lines(running, ended), refresh=True)
 
     def _say(self, text: str) -> None:
-        self._console.print(f"dexctl: {text}", markup=False)
+        self._console.print(f"dexctl: {text}")
 
     def _lines(self, running: list[Job], ended: Mapping[str, Outcome]) -> Group:
         lines = table(*_COLUMNS, right=_COLUMNS[2:], gap=2)

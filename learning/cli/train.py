@@ -118,7 +118,7 @@ class _Bar:
         self._progress = Progress(
             TextColumn("{task.percentage:>3.0f} %"),
             BarColumn(bar_width=8),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             TextColumn("left"),
             TimeRemainingColumn(),
             console=self._console,
@@ -142,7 +142,7 @@ class _Bar:
 
     def remark(self, text: str) -> None:
         """A line above the bar."""
-        self._console.print(f"dexctl: {text}", markup=False)
+        self._console.print(f"dexctl: {text}")
 
 
 def _figures(row: Mapping[str, Any]) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ RUN = {
 }
 
 
-def log_of(path: Path, **changed: np.ndarray) -> Log:
+def log_of(path: Path, run: Mapping[str, Any] = RUN, **changed: np.ndarray) -> Log:
     """A quiet log of four joints and two fingers, with columns ``(T, ...)`` changed."""
     columns: dict[str, np.ndarray] = {
         "q": np.zeros((TICKS, 4)),
@@ -40,7 +42,7 @@ def log_of(path: Path, **changed: np.ndarray) -> Log:
         "lateness": np.full(TICKS, 1e-4),
     } | changed
     with LogWriter(path) as log:
-        log.write("/run", RUN)
+        log.write("/run", run)
         for i in range(TICKS):
             tick = {"time": 0.02 * i, "state": "run", "age": 0.0}
             log.write("/tick", tick | {name: rows[i] for name, rows in columns.items()})
@@ -91,6 +93,42 @@ def test_touch_that_chatters_at_the_threshold(tmp_path: Path) -> None:
     assert "threshold of 1 N (median 1.2 N)" in said
     strong = log_of(tmp_path / "b.mcap", in_contact=touch, contact_force=np.full((TICKS, 2), 4.0))
     assert findings(strong) == ["Finger 2 made and lost touch 5.1 times a second."]
+
+
+@pytest.mark.parametrize(
+    ("how", "words", "caption"),
+    [
+        ("full", "the threshold of 1 N (median 0.5 N)", "Thin line: what counts as touch, 1 N."),
+        (
+            "joint-torque",
+            "the thresholds of 0.4 and 0.2 N (median 0.5 N)",
+            "Thin lines: touch begins at 0.4 N and ends below 0.2 N.",
+        ),
+        ("binary", "", ""),
+    ],
+)
+def test_thresholds_are_those_of_what_tells_of_touch(
+    how: str, words: str, caption: str, tmp_path: Path
+) -> None:
+    joint_touch = {"touch_force": 0.4, "release_force": 0.2}
+    sensing = {"touch": how, "touch_threshold": 1.0, "joint_touch": joint_touch}
+    touch = np.ones((TICKS, 2), bool)
+    touch[::10, 1] = False
+    run = {**RUN, "scene": {"sensing": sensing}}
+    weak, firm = (
+        log_of(
+            tmp_path / f"{force}.mcap", run, in_contact=touch,
+            contact_force=np.full((TICKS, 2), force),
+        )
+        for force in (0.5, 0.7)
+    )  # fmt: skip
+    (said,) = findings(weak)
+    assert words in said and ("at forces about" in said) == bool(words)
+    page = build(weak)
+    assert caption in page and ("Thin line" in page.split("normal force")[-1]) == bool(caption)
+    # 0.7 N is near what counts for fingertips, and well above what counts for joints
+    (said,) = findings(firm)
+    assert ("at forces about" in said) == (how == "full")
 
 
 def test_late_ticks_and_silent_servos(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from dexctl.exceptions import InvalidInput
 from hardware import registers
 from hardware.bus import Bus
 from hardware.cli import run as commands_run
+from hardware.cli.options import in_a_line, teller
 from hardware.emulator import Emulator
 from hardware.exceptions import ServoError, tell_torque
 from hardware.hand import _PATIENCE, ServoHand
@@ -144,6 +145,40 @@ def test_on_event_that_raises(
     assert known in note and known in runner.report.torque_message
     assert known in read_log(tmp_path / "run.mcap").summary["torque_message"]
     assert sum(emulator.state()["torque_on"]) == len(silent)
+
+
+class Bracketed(Still):
+    """Raises what rich would take for markup, once it has been warmed up."""
+
+    asked = 0
+
+    def act(self, state: dexctl.GraspState) -> np.ndarray:
+        self.asked += 1
+        if self.asked > 5:
+            raise ValueError("[servos] has no [/x] :warning:")
+        return np.zeros(15)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_what_is_printed_does_not_end_a_run(
+    closed: bool, hand: ServoHand, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    if closed:
+        reading, writing = os.pipe()
+        os.close(reading)
+        screen = os.fdopen(writing, "w")
+        monkeypatch.setattr("sys.stderr", screen)
+    runner = Runner(
+        hand, Bracketed(hand.hand, control_period=0.02), needs_tactile=False,
+        on_event=teller(in_a_line),
+    )  # fmt: skip
+    report = runner.run(0.3)
+    assert (report.outcome, report.cause) == (State.HOLD, Event.CONTROLLER_FAILED)
+    assert report.torque is Torque.OFF
+    if not closed:
+        said = capsys.readouterr().err
+        assert "controller failed: ValueError: [servos] has no [/x] :warning:" in said
 
 
 def test_what_an_error_says_reaches_the_terminal(
