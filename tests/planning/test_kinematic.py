@@ -99,6 +99,11 @@ def test_a_finger_that_is_moved_turns_it_further(l_shape: Scene) -> None:
     assert tree.header.physics_steps == 0
 
 
+def test_a_batch_may_be_refused_as_a_whole(l_shape: Scene) -> None:
+    tree = grow(l_shape, Kinematic(batch=1), nodes=10, seed=0)
+    assert len(tree) == 10 and tree.header.expansions > 12
+
+
 def test_about_x_more_may_be_left_to_friction() -> None:
     cube = Scene.build("dex5", "cube", "up")
     default, same, strict = (
