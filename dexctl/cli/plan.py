@@ -34,11 +34,12 @@ from dexctl.planning import (
     grow_on_cluster,
     holding,
 )
-from dexctl.planning.grow import check_ends
+from dexctl.planning.grow import check_ends, stuck
 from dexctl.planning.processes import part_files
 from dexctl.planning.tree import TREE
 from dexctl.settings import NESTED, Quaternion, Vector
 from dexctl.sim import Scene, SceneConfig
+from dexctl.state import Floats
 from dexctl.statistics import wilson
 from dexctl.validation import shown_numbers, unit_axis
 
@@ -52,9 +53,9 @@ class Plan:
     """Grow a tree of grasps that turn an object.
 
     Where nothing says when to stop, it stops after a full turn, or towards goal orientations when
-    all are reached, after a minute at the latest; where one is not, it fails. The tree in the
-    folder is whole at any moment: after Ctrl-C, --resume goes on with it. `dexctl plan show` films
-    and draws it.
+    all are reached, after a minute at the latest; where what was wanted is not reached, it fails.
+    The tree in the folder is whole at any moment: after Ctrl-C, --resume goes on with it.
+    `dexctl plan show` films and draws it.
     """
 
     expand: str = "controllers"
@@ -134,7 +135,7 @@ class Plan:
                 f"interrupted; the tree is in {path}, and the same command with --resume goes on"
             ) from None
         found = describe(tree)
-        if not tree.header.physics_steps:
+        if not tree.header.physics_steps and len(tree) > 1:
             found["holds"] = self._held(scene, tree)
         away = self.goals.away(tree.nodes.object_quaternion)
         if len(away):
@@ -144,14 +145,32 @@ class Plan:
             print_json(found)
         else:
             _print(tree, found)
-        for goal, far in zip(self.goals.orientations, away, strict=True):
-            if far > self.goals.angle:
-                notes().print(
-                    f"goal {shown_numbers(goal)} is not reached: the nearest of {len(tree)} "
-                    f"nodes is {far:.2f} rad from it",
-                    soft_wrap=True,
-                )
-        return int((away > self.goals.angle).any())
+        missed = self._missed(tree, until, away)
+        for line in missed:
+            notes().print(line, soft_wrap=True)
+        return int(bool(missed))
+
+    def _missed(self, tree: Tree, until: float | None, away: Floats) -> list[str]:
+        """What was wanted of the tree and is not there, a line each."""
+        if len(tree) == 1 and self.nodes != 1:
+            return [stuck(tree)]
+        found = [
+            f"goal {shown_numbers(goal)} is not reached: the nearest of {len(tree)} nodes is "
+            f"{far:.2f} rad from it"
+            for goal, far in zip(self.goals.orientations, away, strict=True)
+            if far > self.goals.angle
+        ]
+        if len(away) and not found:
+            return []
+        turned = float(tree.rotation.max())
+        if until is not None and turned < until:
+            found.append(
+                f"--until-rotation {until:.2f} is not reached: the greatest rotation of "
+                f"{len(tree)} nodes is {turned:.2f} rad"
+            )
+        elif until is None and not found and self.nodes is not None and len(tree) < self.nodes:
+            found.append(f"--nodes {self.nodes} is not reached: there are {len(tree)}")
+        return found
 
     def _expansion(self) -> Expansion:
         known: dict[str, Expansion] = {

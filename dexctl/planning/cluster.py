@@ -21,6 +21,7 @@ from dexctl.planning.processes import (
     grow_part,
     merge_parts,
     numbers_of,
+    share_of,
     summed,
     what_grew,
 )
@@ -67,7 +68,7 @@ def grow_on_cluster(
         parts = begin_parts(target, jobs, resume)
         board = ray.remote(Board).options(num_cpus=0).remote(jobs)
         task = ray.remote(_work).options(num_cpus=1, max_retries=0, name="dexctl plan")
-        here, share = Path.cwd(), None if nodes is None else -(-nodes // jobs)
+        here, share = Path.cwd(), share_of(nodes, jobs)
         tasks = [
             task.remote(
                 absolute(scene_config, here), absolute(expansion, here), i, board,

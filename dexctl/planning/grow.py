@@ -23,6 +23,7 @@ from dexctl.planning.tree import Tree
 from dexctl.settings import to_plain
 from dexctl.sim import Scene, SceneConfig
 
+_STUCK = 3000  # expansions of the root without a node beyond it: it is given up
 _BLOCK = 10.0  # the file is written anew after this long, and never for more than a tenth of it [s]
 
 
@@ -89,8 +90,8 @@ def grow(
         progress: called after every batch; where it returns True, the tree is left as it is.
 
     Raises:
-        InvalidInput: nothing says when to stop, a goal has the axis upside down, or a tree of
-            another hand, object or gravity.
+        InvalidInput: nothing says when to stop, a goal has the axis upside down, a tree of another
+            hand, object or gravity; or no grasp was reached from the root in 3,000 expansions.
         SimulationError: the object does not stay in the hand.
     """
     bounds, goals = bounds or Bounds(), goals or GoalOrientations()
@@ -112,6 +113,7 @@ def grow(
         tree = _begin(problem, expansion, goals, expander.action_names, seed, tree)
         if scene_config is not None:
             tree.header.scene = to_plain(scene_config)
+        before = tree.header.expansions
         search = Nearest(len(scene.hand.joint_names) + 6)
         search.add(problem.metric.of(problem.frame, tree.nodes))
         limits = (np.asarray(scene.lower), np.asarray(scene.upper))
@@ -160,6 +162,8 @@ def grow(
                 )
                 if told is True:
                     break
+            if len(tree) == 1 and header.expansions - before >= _STUCK:
+                raise InvalidInput(stuck(tree))
             if path is not None and perf_counter() - saved > wait:
                 began = perf_counter()
                 tree.save(path)
@@ -170,6 +174,18 @@ def grow(
         expander.close()
         if path is not None and tree is not None:
             tree.save(path)
+
+
+def stuck(tree: Tree) -> str:
+    """Of a tree that has nothing but its root: that it is so, and what was in the way."""
+    header = tree.header
+    most = sorted(header.refused.items(), key=lambda one: -one[1])
+    why = " and ".join(f"{name} ({count})" for name, count in most[:2] if count)
+    return (
+        f"no grasp of the {header.object} was reached from the settled one in {header.expansions} "
+        f"expansions{why and f', refused most for {why}'}; expected another way to expand, other "
+        f"settings of {header.expansion}, or another object"
+    )
 
 
 def check_ends(

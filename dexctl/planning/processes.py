@@ -58,7 +58,7 @@ def grow_in_processes(
     context = multiprocessing.get_context("spawn")
     stop, shown = context.Event(), context.Array("d", numbers_of(None) * jobs)
     errors = context.SimpleQueue()
-    share = None if nodes is None else -(-nodes // jobs)
+    share = share_of(nodes, jobs)
     workers = [
         context.Process(
             target=_work,
@@ -97,6 +97,11 @@ def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:
     for part in () if resume else part_files(target):
         part.unlink(missing_ok=True)
     return [_part(target, i) for i in range(jobs)]
+
+
+def share_of(nodes: int | None, jobs: int) -> int | None:
+    """How many nodes each of ``jobs`` trees needs for ``nodes`` together; they share the root."""
+    return None if nodes is None else 1 - (1 - nodes) // jobs
 
 
 def grow_part(

@@ -99,6 +99,27 @@ def test_goals_are_reached_or_it_says_which_is_not(
     assert why in " ".join(capsys.readouterr().err.split())
 
 
+def test_what_is_not_reached_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["plan", "--expand", "kinematic", "--kinematic.batch", "32", "--threads", "1"]
+    words += ["--object", "cylinder"]
+    for i, (more, code, why) in enumerate((
+        (["--nodes", "40", "--until-rotation", "6"], 1, "--until-rotation 6.00 is not"),
+        (["--nodes", "500000", "--seconds", "0.2"], 1, "--nodes 500000 is not reached: there are"),
+        (["--nodes", "500000", "--until-rotation", "0.1"], 0, "written"),
+        (["--seconds", "0.2"], 0, "written"),
+    )):  # fmt: skip
+        assert main([*words, *more, "--out", str(tmp_path / str(i))]) == code
+        assert why in capsys.readouterr().err
+    words[-1], out = "dodecahedron", tmp_path / "stone"
+    assert main([*words, "--seconds", "0.2", "--out", str(out)]) == 1
+    said = capsys.readouterr()
+    assert "no grasp of the dodecahedron was reached" in said.err and "100 %" not in said.out
+    out = tmp_path / "again"
+    assert main([*words, "--nodes", "600", "--out", str(out)]) == 2
+    assert "no grasp of the dodecahedron was reached" in capsys.readouterr().err
+    assert len(Tree.load(out)) == 1
+
+
 def test_episodes_start_from_a_tree(folder: Path) -> None:
     tree = Tree.load(folder / "tree.npz")
     config = SceneConfig(
