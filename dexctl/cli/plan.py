@@ -35,7 +35,7 @@ from dexctl.planning import (
     holding,
 )
 from dexctl.planning.grow import check_ends, stuck
-from dexctl.planning.processes import part_files
+from dexctl.planning.parts import part_files
 from dexctl.planning.tree import TREE
 from dexctl.settings import NESTED, Quaternion, Vector
 from dexctl.sim import Scene, SceneConfig
@@ -224,8 +224,12 @@ class Plan:
                     f"{path} is there already; expected --resume, which goes on with it, or "
                     "another --out"
                 )
-            for part in part_files(path):  # of a run that was killed
-                part.unlink(missing_ok=True)
+            parts = part_files(path)
+            if parts:
+                raise InvalidInput(
+                    f"{path.parent} has the trees of {len(parts)} processes of a run that was "
+                    "killed; expected --resume, which goes on with them, or another --out"
+                )
             return None
         # a merged tree is made of those of its processes, which go on
         return None if part_files(path) else Tree.load(path)

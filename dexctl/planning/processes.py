@@ -14,6 +14,7 @@ import numpy as np
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
 from dexctl.planning.expansion import Expansion
 from dexctl.planning.grow import Progress, grow
+from dexctl.planning.parts import part_file, part_files
 from dexctl.planning.tree import Tree
 from dexctl.sim import SceneConfig
 
@@ -50,7 +51,8 @@ def grow_in_processes(
         progress: called several times a second with the sums, and the greatest rotation.
 
     Raises:
-        InvalidInput: as `grow`, or no whole number of processes.
+        InvalidInput: as `grow`, no whole number of processes, or there are files of processes
+            already that no tree has been made of, and they are not to be gone on with.
         SimulationError: a process ended without a tree.
     """
     target = Path(path)
@@ -87,16 +89,24 @@ def grow_in_processes(
 
 
 def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:
-    """The files of ``jobs`` trees that are to become ``target``; old ones go, but to resume.
+    """The files of ``jobs`` trees that are to become ``target``.
+
+    Those that an earlier ``target`` was made of go, but to resume.
 
     Raises:
-        InvalidInput: no whole number above 0.
+        InvalidInput: no whole number above 0, or files that no tree has been made of.
     """
     if not isinstance(jobs, (int, np.integer)) or isinstance(jobs, bool) or jobs < 1:
         raise InvalidInput(f"jobs is {jobs!r}; expected a whole number of processes above 0")
-    for part in () if resume else part_files(target):
+    old = [] if resume else part_files(target)
+    if old and not target.exists():  # of a run that was killed
+        raise InvalidInput(
+            f"{target.parent} has the trees of {len(old)} processes, which are not in "
+            f"{target.name} yet; expected resume=True, which goes on with them, or another path"
+        )
+    for part in old:
         part.unlink(missing_ok=True)
-    return [_part(target, i) for i in range(jobs)]
+    return [part_file(target, i) for i in range(jobs)]
 
 
 def share_of(nodes: int | None, jobs: int) -> int | None:
@@ -149,21 +159,6 @@ def what_grew(tree: Tree | None, grown: int, jobs: int, those: str, why: str) ->
     if why:
         raise InvalidInput(why)
     return tree
-
-
-def part_files(path: str | Path) -> list[Path]:
-    """The files of the processes that grew the tree ``path``, in their order.
-
-    One that was killed before it had anything to write has none.
-    """
-    target = Path(path)
-    names = (each.name.split(".")[-2] for each in target.parent.glob(f".{target.stem}.*.npz"))
-    last = max((int(name) for name in names if name.isdigit()), default=-1)
-    return [_part(target, i) for i in range(last + 1)]
-
-
-def _part(target: Path, number: int) -> Path:
-    return target.with_name(f".{target.stem}.{number}.npz")
 
 
 def _work(

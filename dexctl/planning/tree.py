@@ -16,6 +16,7 @@ from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.files import aside
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.nodes import NODE_FIELDS, Frame, Nodes
+from dexctl.planning.parts import part_files
 from dexctl.rotations import angle_between
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Floats
@@ -278,6 +279,12 @@ class Tree:
         path = Path(path).expanduser()
         path = path / TREE if path.is_dir() else path
         what = f"tree {str(path)!r}"
+        parts = [] if path.exists() else part_files(path)
+        if parts:
+            raise InvalidInput(
+                f"{what} is not there yet: {path.parent} has the trees of {len(parts)} processes; "
+                "the `dexctl plan` that grew them makes one of them with --resume"
+            )
         try:
             with np.load(path, allow_pickle=False) as stored:
                 values = {name: stored[name] for name in stored.files}

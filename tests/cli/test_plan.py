@@ -52,6 +52,24 @@ def test_it_is_resumed_and_not_written_over(
     assert len(Tree.load(out / "tree.npz")) >= 20
 
 
+def test_what_killed_processes_left_is_not_deleted(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = [tmp_path / f".tree.{i}.npz" for i in range(2)]
+    for part in parts:
+        part.write_bytes((folder / "tree.npz").read_bytes())
+    line = ["plan", *SMALL, "--nodes", "12", "--out", str(tmp_path)]
+    assert main(line) == 2
+    assert "has the trees of 2 processes of a run that was killed; expected --resume" in (
+        capsys.readouterr().err
+    )
+    assert main(["plan", "states", str(tmp_path)]) == 2
+    assert "makes one of them with --resume" in capsys.readouterr().err
+    assert all(part.exists() for part in parts)
+    assert main([*line, "--resume"]) == 0
+    assert len(Tree.load(tmp_path)) >= 12
+
+
 def test_ctrl_c_leaves_a_tree_that_loads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

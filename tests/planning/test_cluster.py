@@ -12,7 +12,7 @@ from dexctl.cluster import ClusterError
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_on_cluster
 from dexctl.planning.cluster import Board
-from dexctl.planning.processes import part_files
+from dexctl.planning.parts import part_files
 from dexctl.sim import SceneConfig
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_in_processes
-from dexctl.planning.processes import part_files
+from dexctl.planning.parts import part_files
 from dexctl.sim import Scene, SceneConfig
 
 
@@ -36,8 +36,12 @@ def test_what_was_killed_is_gone_on_with(tmp_path: Path) -> None:
     parts = part_files(path)
     assert [part.name for part in parts] == [".tree.0.npz", ".tree.1.npz"]
     kept = Tree.load(parts[1])
+    with pytest.raises(InvalidInput, match="has the trees of 2 processes, which are not in tree"):
+        grow_in_processes(config, expansion, 2, path=path, nodes=8, seed=5)
     parts[0].unlink()
     assert part_files(path) == parts
+    with pytest.raises(InvalidInput, match=r"is not there yet: .* of 2 processes; .* --resume"):
+        Tree.load(tmp_path)
     tree = grow_in_processes(config, expansion, 2, path=path, nodes=16, seed=5, resume=True)
     assert len(tree) >= 16 > len(first)
     again = Tree.load(parts[1])
