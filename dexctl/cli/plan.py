@@ -131,8 +131,11 @@ class Plan:
                         self.scene, expansion, jobs or 1, progress=show, resume=self.resume, **ends
                     )
         except KeyboardInterrupt:
+            there = path.exists() or part_files(path)
             raise KeyboardInterrupt(
                 f"interrupted; the tree is in {path}, and the same command with --resume goes on"
+                if there
+                else "interrupted before there was a tree"
             ) from None
         found = describe(tree)
         if not tree.header.physics_steps and len(tree) > 1:
@@ -231,6 +234,11 @@ class Plan:
                     "killed; expected --resume, which goes on with them, or another --out"
                 )
             return None
+        if not (path.exists() or part_files(path)):
+            raise InvalidInput(
+                f"{path.parent} has no tree to go on with; expected --out of one that was begun, "
+                "or the command without --resume"
+            )
         # a merged tree is made of those of its processes, which go on
         return None if part_files(path) else Tree.load(path)
 

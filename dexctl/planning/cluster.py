@@ -12,7 +12,7 @@ import numpy as np
 
 from dexctl.cluster import connect, cores, inside, reason
 from dexctl.exceptions import DexctlError
-from dexctl.files import aside
+from dexctl.files import aside, make_parent
 from dexctl.planning.expansion import Expansion
 from dexctl.planning.grow import Progress
 from dexctl.planning.processes import (
@@ -61,10 +61,10 @@ def grow_on_cluster(
         ClusterError: no cluster at the address.
         InvalidInput, SimulationError: as `grow_in_processes`.
     """
+    target = make_parent(path)
     ray = connect(address)
     try:
         jobs = cores(ray) if jobs is None else jobs
-        target = Path(path)
         parts = begin_parts(target, jobs, resume)
         board = ray.remote(Board).options(num_cpus=0).remote(jobs)
         task = ray.remote(_work).options(num_cpus=1, max_retries=0, name="dexctl plan")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
+from dexctl.files import make_parent
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expansion, Problem
 from dexctl.planning.goals import GoalOrientations
@@ -85,15 +86,17 @@ def grow(
         threads: of the physics; None: every core.
         scene_config: what the scene was built from, for the tree's header; None: not known.
         tree: one to go on with; its own seed and counts are continued.
-        path: where the tree is written every few seconds and at the end, however that comes
-            (Ctrl-C too): a killed process loses the last block of some seconds, no more.
+        path: where the tree is written, at the start, every few seconds and at the end, however
+            that comes (Ctrl-C too): a killed process loses the last block of some seconds, no more.
         progress: called after every batch; where it returns True, the tree is left as it is.
 
     Raises:
-        InvalidInput: nothing says when to stop, a goal has the axis upside down, a tree of another
-            hand, object or gravity; or no grasp was reached from the root in 3,000 expansions.
+        InvalidInput: nothing says when to stop, ``path`` cannot be written, a goal has the axis
+            upside down, a tree of another hand, object or gravity; or no grasp was reached from the
+            root in 3,000 expansions.
         SimulationError: the object does not stay in the hand.
     """
+    path = None if path is None else make_parent(path)
     bounds, goals = bounds or Bounds(), goals or GoalOrientations()
     check_ends(nodes, seconds, until_rotation, bounds, goals)
     root = root_of(scene)
@@ -108,11 +111,13 @@ def grow(
         stability=stability or Stability(),
         threads=threads,
     )
-    expander = expansion.open(problem)
+    expander, new = expansion.open(problem), tree is None
     try:
         tree = _begin(problem, expansion, goals, expander.action_names, seed, tree)
         if scene_config is not None:
             tree.header.scene = to_plain(scene_config)
+        if path is not None and new:  # what is stopped in the first seconds can be resumed too
+            tree.save(path)
         before = tree.header.expansions
         search = Nearest(len(scene.hand.joint_names) + 6)
         search.add(problem.metric.of(problem.frame, tree.nodes))

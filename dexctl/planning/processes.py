@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
+from dexctl.files import make_parent
 from dexctl.planning.expansion import Expansion
 from dexctl.planning.grow import Progress, grow
 from dexctl.planning.parts import part_file, part_files
@@ -55,7 +57,7 @@ def grow_in_processes(
             already that no tree has been made of, and they are not to be gone on with.
         SimulationError: a process ended without a tree.
     """
-    target = Path(path)
+    target = make_parent(path)
     parts = begin_parts(target, jobs, resume)
     context = multiprocessing.get_context("spawn")
     stop, shown = context.Event(), context.Array("d", numbers_of(None) * jobs)
@@ -72,8 +74,9 @@ def grow_in_processes(
     ]
     start = time.perf_counter()
     try:
-        for worker in workers:
-            worker.start()
+        with _no_interrupt():
+            for worker in workers:
+                worker.start()
         while any(worker.is_alive() for worker in workers):
             time.sleep(LOOK)
             if progress is not None:
@@ -86,6 +89,22 @@ def grow_in_processes(
             worker.join()
         tree, grown = merge_parts(parts, target)
     return what_grew(tree, grown, jobs, "processes", "" if errors.empty() else errors.get())
+
+
+@contextmanager
+def _no_interrupt() -> Iterator[None]:
+    """What is started in the block never sees Ctrl-C: it is this process that tells it to stop.
+
+    Here it is held back until the block is over; where signals cannot be blocked it is not.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:
@@ -182,7 +201,7 @@ def _work(
         return stop.is_set() or (parent is not None and not parent.is_alive())
 
     try:
-        if grow_part(scene_config, expansion, part, watch, **arguments):
+        if not stop.is_set() and grow_part(scene_config, expansion, part, watch, **arguments):
             stop.set()
     except KeyboardInterrupt:
         pass  # the tree is in its file

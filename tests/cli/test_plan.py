@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +91,31 @@ def test_ctrl_c_leaves_a_tree_that_loads(
     assert len(Tree.load(tmp_path / "tree.npz")) > 1
 
 
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked")
+def test_ctrl_c_in_the_first_seconds_is_one_line(tmp_path: Path) -> None:
+    """Sent to all processes at once, as a terminal does, while the children begin."""
+    words = [*SMALL[:-2], "--seconds", "600", "--jobs", "2", "--out", str(tmp_path)]
+    program = "import sys; from dexctl.cli import main; sys.exit(main(sys.argv[1:]))"
+    with subprocess.Popen(
+        [sys.executable, "-c", program, "plan", *words],
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    ) as run:  # fmt: skip
+        children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
+        if not children.exists():
+            run.kill()
+            pytest.skip("this system does not say which children there are")
+        while run.poll() is None and len(children.read_text().split()) < 3:
+            time.sleep(0.02)  # the two, and multiprocessing's own
+        os.killpg(run.pid, signal.SIGINT)
+        said = run.communicate(timeout=100)[1]
+    assert run.returncode == 130 and "Traceback" not in said
+    last = said.strip().splitlines()[-1]
+    if (tmp_path / "tree.npz").exists():
+        assert "with --resume goes on" in last and len(Tree.load(tmp_path)) >= 1
+    else:
+        assert last == "dexctl: interrupted before there was a tree"
+
+
 def test_a_tree_without_physics_is_checked_in_simulation(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -156,7 +186,7 @@ def test_what_plan_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--object", "cube", "sphere"], "this command takes one object"),
         (["--nodes", "-1"], "nodes is -1; expected a number above 0"),
         (["--until-rotation", "30"], "until_rotation is 30"),
-        (["--resume"], "cannot be read"),
+        (["--resume"], "has no tree to go on with; expected"),
         (["--expand", "followed", "--followed.tree", "no.npz", "--jobs", "2"], "no.npz' cannot be"),
     ):
         assert main(["plan", *words, "--out", str(tmp_path)]) == 2

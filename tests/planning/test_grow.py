@@ -110,6 +110,31 @@ def test_a_tree_that_is_interrupted_is_whole(cylinder: Scene, tmp_path: Path) ->
     assert len(Tree.load(path)) > 1
 
 
+def test_the_root_is_written_before_anything_else(cylinder: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "made" / "tree.npz"
+
+    class Killed(RandomActions):
+        def open(self, problem):
+            made = super().open(problem)
+
+            class Stops:
+                batch, action_names, close = made.batch, made.action_names, made.close
+
+                def __call__(self, *_):
+                    assert len(Tree.load(path)) == 1
+                    raise KeyboardInterrupt
+
+            return Stops()
+
+    with pytest.raises(KeyboardInterrupt):
+        grow(cylinder, Killed(batch=2), nodes=5, path=path, threads=1)
+    assert len(Tree.load(path)) == 1
+    (tmp_path / "file").touch()
+    for wrong in (tmp_path / "file" / "tree.npz", tmp_path):
+        with pytest.raises(InvalidInput, match="path is .*; cannot write there"):
+            grow(cylinder, Killed(), nodes=5, path=wrong)
+
+
 def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
     class Never(Expansion):
         def open(self, problem):
