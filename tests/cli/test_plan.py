@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from dexctl.cli import main
-from dexctl.planning import Tree, grow
+from dexctl.planning import Tree, grow, sample_grasps
 from dexctl.sim import GraspStates, SceneConfig, Simulation
 
 SMALL = ["--expand", "random", "--random.batch", "8", "--object", "cylinder", "--threads", "1"]
@@ -208,6 +208,26 @@ def test_show_draws_the_tree_and_films_its_path(
     assert found["path"] == tree.paths(1)[0].tolist()
     assert (tmp_path / "tree.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "path.mp4").stat().st_size > 2000
+
+
+def test_ctrl_c_keeps_sampled_grasps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*arguments, progress, **keywords):
+        def stop(now):
+            progress(now)
+            if now:
+                raise KeyboardInterrupt
+
+        return sample_grasps(*arguments, progress=stop, **keywords)
+
+    monkeypatch.setattr("dexctl.cli.plan_states.sample_grasps", interrupted)
+    words = ["--object", "cylinder", "--sampling.batch", "32", "--threads", "1"]
+    path = tmp_path / "grasps.npz"
+    assert main(["plan", "sample", *words, "--count", "99", "--out", str(path)]) == 130
+    states = GraspStates.load(path)
+    assert f"interrupted; {len(states)} of 99 grasps are in {path}" in capsys.readouterr().err
+    assert json.loads(states.meta)["scene"]["object"] == ["cylinder"]
 
 
 def test_starts_from_a_tree_and_from_samples(
