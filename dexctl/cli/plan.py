@@ -36,6 +36,7 @@ from dexctl.planning import (
 )
 from dexctl.planning.grow import check_ends, stuck
 from dexctl.planning.parts import part_files
+from dexctl.planning.scene_settings import check_used
 from dexctl.planning.tree import TREE
 from dexctl.settings import NESTED, Quaternion, Vector
 from dexctl.sim import Scene, SceneConfig
@@ -99,6 +100,7 @@ class Plan:
             raise InvalidInput(
                 f"--object is {' '.join(self.scene.object)}; this command takes one object"
             )
+        check_used(self.scene)
         path = make_folder(self.out) / TREE
         tree = self._tree(path)
         until, seconds = self.until_rotation, self.seconds

@@ -14,6 +14,7 @@ from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.files import make_parent
 from dexctl.planning import GraspSampling, Stability, Tree, path_states, sample_grasps
+from dexctl.planning.scene_settings import check_used
 from dexctl.planning.starts import Goals, Weights
 from dexctl.settings import NESTED, Vector
 from dexctl.sim import SceneConfig
@@ -85,6 +86,7 @@ class Sample:
             raise InvalidInput(
                 f"--object is {' '.join(self.scene.object)}; this command takes one object"
             )
+        check_used(self.scene)
         (scene,) = self.scene.scenes()
         path, so_far = make_parent(self.out, "--out"), 0
         with progress(notes()) as bar:

@@ -19,6 +19,7 @@ from dexctl.planning.goals import GoalOrientations
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.metric import Metric, Nearest
 from dexctl.planning.nodes import Frame, root_of
+from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 from dexctl.settings import to_plain
@@ -84,7 +85,9 @@ def grow(
         seed: the same seed, batch and number of expansions give the same tree.
         metric, bounds, stability: None: their defaults.
         threads: of the physics; None: every core.
-        scene_config: what the scene was built from, for the tree's header; None: not known.
+        scene_config: what the scene was built from, for the tree's header and for how the physics
+            is stepped; None: not known, or what ``tree`` was grown in. `check_used` says which
+            other settings of it are of no effect.
         tree: one to go on with; its own seed and counts are continued.
         path: where the tree is written, at the start, every few seconds and at the end, however
             that comes (Ctrl-C too): a killed process loses the last block of some seconds, no more.
@@ -110,6 +113,9 @@ def grow(
         bounds=bounds,
         stability=stability or Stability(),
         threads=threads,
+        stepping=Stepping.of(
+            scene_config if scene_config is not None or tree is None else tree.header.scene
+        ),
     )
     expander, new = expansion.open(problem), tree is None
     try:

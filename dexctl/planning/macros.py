@@ -170,7 +170,8 @@ class _MacroDrive:
     def __init__(self, config: ControllerMacros, problem: Problem) -> None:
         hand, frame = problem.scene.hand, problem.frame
         self._config, self._problem = config, problem
-        self._macro = Macro(hand, config.macro, axis=frame.axis)
+        period = problem.stepping.control_period
+        self._macro = Macro(hand, config.macro, control_period=period, axis=frame.axis)
         tip = hand.fingertip_positions(problem.root.q[0])
         flat = split(tip - frame.position, frame.axis)[1]
         length = np.linalg.norm(flat, axis=-1, keepdims=True)

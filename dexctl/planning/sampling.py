@@ -19,6 +19,7 @@ from dexctl.planning.contacts import ContactModel
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.metric import Metric, Nearest
 from dexctl.planning.nodes import Frame, Nodes, children, put, root_of
+from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.rotations import from_rotation_vector, inverse, multiply, rotate
 from dexctl.settings import to_plain
@@ -122,7 +123,7 @@ def sample_grasps(
         seconds: give up after this time, with those that were found; None: never.
         threads: of the physics; None: every core.
         scene_config: what the scene was built from, for the states' ``meta``, which says what the
-            header of a tree does; None: not known.
+            header of a tree does, and for how the physics is stepped; None: not known.
         path: where the states are written at the end, however that comes: after Ctrl-C those that
             had been found.
         progress: called with the number of grasps so far.
@@ -150,7 +151,10 @@ def sample_grasps(
     header.scene = None if scene_config is None else to_plain(scene_config)
     search, found, refused = Nearest(scene.hand.nq + 6), list[Nodes](), Counter[str]()
     try:
-        with BatchSimulator(scene, config.batch, disturbance=0.0, threads=threads) as sim:
+        with BatchSimulator(
+            scene, config.batch, disturbance=0.0, threads=threads,
+            **Stepping.of(scene_config)._asdict(),
+        ) as sim:  # fmt: skip
             ends = np.inf if seconds is None else start + seconds
             while len(search) < count and header.expansions < most and perf_counter() < ends:
                 placed, reached = draw(rng)

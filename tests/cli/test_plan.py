@@ -195,6 +195,28 @@ def test_what_plan_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "unknown dexctl plan command 'film'; known: show" in capsys.readouterr().err
 
 
+def test_settings_that_planning_does_not_use_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "none"
+    for command in (["plan"], ["plan", "sample"]):
+        for option, value, usual in (
+            ("--initial-states", "no.npz", "None"),
+            ("--joint-noise", "0.01", "0.0"),
+            ("--disturbance", "0.5", "0.02"),
+            ("--sensor-latency", "0.1", "0.0"),
+            ("--push-force", "1.0", "0.0"),
+            ("--torque-limit", "0.5", "None"),
+            ("--mass-range", "0.1,0.2", "None"),
+            ("--touch", "binary", "full"),
+        ):
+            assert main([*command, option, value, "--out", str(out)]) == 2
+            said = capsys.readouterr().err
+            assert f"{option} is" in said and said.count("\n") == 1
+            assert f"planning does not use it, expected its default, {usual}" in said
+    assert not out.exists()
+
+
 def test_show_draws_the_tree_and_films_its_path(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

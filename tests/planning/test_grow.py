@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,15 +15,21 @@ from dexctl.planning import (
     Bounds,
     ControllerMacros,
     Expansion,
+    GraspSampling,
     Nodes,
     Progress,
     RandomActions,
     Stability,
     Tree,
     grow,
+    holding,
+    sample_grasps,
 )
 from dexctl.planning.nodes import put
-from dexctl.sim import BatchSimulator, Scene, rotation_about
+from dexctl.sim import BatchSimulator, Scene, SceneConfig, rotation_about
+from dexctl.sim.sensing import Sensing
+
+NOISY = Sensing(joint_noise=0.01)  # as the scene of a policy may have
 
 
 def same(a: Tree, b: Tree) -> None:
@@ -133,6 +140,35 @@ def test_the_root_is_written_before_anything_else(cylinder: Scene, tmp_path: Pat
     for wrong in (tmp_path / "file" / "tree.npz", tmp_path):
         with pytest.raises(InvalidInput, match="path is .*; cannot write there"):
             grow(cylinder, Killed(), nodes=5, path=wrong)
+
+
+def test_the_physics_is_stepped_as_the_scene_says(cylinder: Scene, tmp_path: Path) -> None:
+    config = SceneConfig(object=("cylinder",), control_period=0.02, substeps=5, sensing=NOISY)
+    path = tmp_path / "tree.npz"
+    options: dict[str, Any] = {"seed": 1, "threads": 1, "path": path}
+    tree = grow(cylinder, RandomActions(batch=2), nodes=2, scene_config=config, **options)
+    assert tree.header.physics_steps % 5 == 0 and tree.header.physics_steps % 10
+    more = grow(cylinder, RandomActions(batch=2), nodes=4, tree=Tree.load(path), **options)
+    other = grow(cylinder, RandomActions(batch=2), nodes=4, scene_config=config, **options)
+    same(more, other)
+    macros = ControllerMacros(batch=2)
+    tree = grow(cylinder, macros, nodes=2, scene_config=config, **options)
+    seconds = tree.action[1:, tree.header.action_names.index("seconds")]
+    np.testing.assert_allclose(seconds / 0.02, np.round(seconds / 0.02), atol=1e-6)
+    seen = []
+
+    class Looked(BatchSimulator):
+        def __init__(self, *arguments, **keywords):
+            super().__init__(*arguments, **keywords)
+            seen.append((self.control_period, self.substeps))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules["dexctl.planning.holding"], "BatchSimulator", Looked)
+        patch.setattr("dexctl.planning.sampling.BatchSimulator", Looked)
+        holding(cylinder, tree, threads=1, batch=2)
+        sampling = GraspSampling(batch=16)
+        sample_grasps(cylinder, 1, sampling, scene_config=config, threads=1)
+    assert seen == [(0.02, 5)] * 2
 
 
 def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
