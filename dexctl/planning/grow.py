@@ -88,15 +88,16 @@ def grow(
         scene_config: what the scene was built from, for the tree's header and for how the physics
             is stepped; None: not known, or what ``tree`` was grown in. `check_used` says which
             other settings of it are of no effect.
-        tree: one to go on with; its own seed and counts are continued.
+        tree: one to go on with, grown with the same settings; its own seed and counts are
+            continued.
         path: where the tree is written, at the start, every few seconds and at the end, however
             that comes (Ctrl-C too): a killed process loses the last block of some seconds, no more.
         progress: called after every batch; where it returns True, the tree is left as it is.
 
     Raises:
         InvalidInput: nothing says when to stop, ``path`` cannot be written, a goal has the axis
-            upside down, a tree of another hand, object or gravity; or no grasp was reached from the
-            root in 3,000 expansions.
+            upside down, a tree of another hand, object or gravity, or of other settings; or no
+            grasp was reached from the root in 3,000 expansions.
         SimulationError: the object does not stay in the hand.
     """
     path = None if path is None else make_parent(path)
@@ -119,9 +120,7 @@ def grow(
     )
     expander, new = expansion.open(problem), tree is None
     try:
-        tree = _begin(problem, expansion, goals, expander.action_names, seed, tree)
-        if scene_config is not None:
-            tree.header.scene = to_plain(scene_config)
+        tree = _begin(problem, expansion, goals, expander.action_names, seed, scene_config, tree)
         if path is not None and new:  # what is stopped in the first seconds can be resumed too
             tree.save(path)
         before = tree.header.expansions
@@ -227,30 +226,31 @@ def _begin(
     goals: GoalOrientations,
     action_names: tuple[str, ...],
     seed: int,
+    scene_config: SceneConfig | None,
     tree: Tree | None,
 ) -> Tree:
     """A new tree, or the one that is to go on, where it is of this problem."""
     settings = {
-        name: to_plain(value)
-        for name, value in (
-            ("expansion", expansion),
-            ("metric", problem.metric),
-            ("bounds", problem.bounds),
-            ("stability", problem.stability),
-            ("goals", goals),
-        )
+        "expansion": expansion,
+        "goals": goals,  # before the bounds, which are as wide as they ask for
+        "metric": problem.metric,
+        "bounds": problem.bounds,
+        "stability": problem.stability,
     }
     header = TreeHeader.of(
         problem.scene,
         problem.frame.axis,
         type(expansion).__name__,
         action_names,
-        settings,
+        {name: to_plain(value) for name, value in settings.items()},
         seed,
     )
+    header.scene = None if scene_config is None else to_plain(scene_config)
     if tree is None:
         return Tree(header, problem.root)
     tree.header.check_same(header)
+    tree.header.check_settings(settings)
+    tree.header.scene = header.scene or tree.header.scene
     if not np.allclose(tree.nodes.q[0], problem.root.q[0], atol=1e-6):
         raise InvalidInput("the tree has another root than the scene's settled grasp")
     return tree

@@ -15,7 +15,10 @@ from dexctl.planning import (
     Bounds,
     ControllerMacros,
     Expansion,
+    FollowedEdges,
+    GoalOrientations,
     GraspSampling,
+    Metric,
     Nodes,
     Progress,
     RandomActions,
@@ -26,6 +29,7 @@ from dexctl.planning import (
     sample_grasps,
 )
 from dexctl.planning.nodes import put
+from dexctl.settings import to_plain
 from dexctl.sim import BatchSimulator, Scene, SceneConfig, rotation_about
 from dexctl.sim.sensing import Sensing
 
@@ -169,6 +173,42 @@ def test_the_physics_is_stepped_as_the_scene_says(cylinder: Scene, tmp_path: Pat
         sampling = GraspSampling(batch=16)
         sample_grasps(cylinder, 1, sampling, scene_config=config, threads=1)
     assert seen == [(0.02, 5)] * 2
+
+
+def test_a_tree_goes_on_and_merges_with_the_same_settings_only(
+    cylinder: Scene, small: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for changes, why in (
+        ({"expansion": RandomActions(batch=2)}, r"expansion\.batch 8, not 2"),
+        ({"expansion": ControllerMacros()}, "of the expansion 'RandomActions'; expected 'Contr"),
+        ({"metric": Metric(tilt=2.0)}, r"metric\.tilt 1\.0, not 2\.0"),
+        ({"bounds": Bounds(tilt=0.6)}, r"bounds\.tilt 0\.4, not 0\.6"),
+        ({"stability": Stability(seconds=1.0)}, r"stability\.seconds 0\.5, not 1\.0"),
+        (
+            {"goals": GoalOrientations(orientations=((1, 0, 0, 0),))},
+            r"goals\.orientations \(\), not",
+        ),
+    ):
+        settings: dict[str, Any] = {"expansion": RandomActions(batch=8), **changes}
+        with pytest.raises(InvalidInput, match=why):
+            grow(cylinder, nodes=99, tree=small, threads=1, **settings)
+    # a setting that there was not yet has its default, and files are what they were
+    header, config = replace(small.header), SceneConfig(object=("cylinder",))
+    header.settings = {**header.settings, "metric": {}}
+    edges = FollowedEdges(tree=tmp_path / "a" / "tree.npz")
+    header.settings["edges"] = to_plain(edges)
+    (tmp_path / "a").mkdir()
+    monkeypatch.chdir(tmp_path / "a")
+    header.check_settings({"metric": Metric(), "edges": FollowedEdges(tree=Path("tree.npz"))})
+    # physics that both know
+    one, other = Tree(header, small.nodes.take([0])), Tree(small.header, small.nodes.take([0]))
+    one.header.scene = to_plain(config)
+    assert len(Tree.merge([one, other])) == 1
+    other.header = replace(header, scene=to_plain(replace(config, object_friction=0.5)))
+    with pytest.raises(InvalidInput, match="the tree is of the object_friction 0.5; expected None"):
+        Tree.merge([one, other])
+    with pytest.raises(InvalidInput, match="the tree is of the object_friction 0.5; expected None"):
+        grow(cylinder, RandomActions(batch=8), nodes=99, tree=other, scene_config=config)
 
 
 def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
