@@ -28,6 +28,7 @@ from dexctl.planning.processes import (
 from dexctl.planning.tree import TREE, Tree
 from dexctl.settings import absolute
 from dexctl.sim import SceneConfig
+from dexctl.validation import check_seed
 
 _TO_STOP = 60.0  # tasks that are told to stop have this long to send what they have [s]
 
@@ -61,7 +62,7 @@ def grow_on_cluster(
         ClusterError: no cluster at the address.
         InvalidInput, SimulationError: as `grow_in_processes`.
     """
-    target = make_parent(path)
+    target, seed = make_parent(path), check_seed(seed)
     ray = connect(address)
     try:
         jobs = cores(ray) if jobs is None else jobs

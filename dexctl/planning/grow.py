@@ -24,6 +24,7 @@ from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 from dexctl.settings import to_plain
 from dexctl.sim import Scene, SceneConfig
+from dexctl.validation import check_seed, number, shown
 
 _STUCK = 3000  # expansions of the root without a node beyond it: it is given up
 _BLOCK = 10.0  # the file is written anew after this long, and never for more than a tenth of it [s]
@@ -101,7 +102,17 @@ def grow(
         SimulationError: the object does not stay in the hand.
     """
     path = None if path is None else make_parent(path)
-    bounds, goals = bounds or Bounds(), goals or GoalOrientations()
+    metric = Metric() if metric is None else metric
+    bounds = Bounds() if bounds is None else bounds
+    stability = Stability() if stability is None else stability
+    goals = GoalOrientations() if goals is None else goals
+    _check_kinds(
+        (Scene, "scene", scene), (Expansion, "expansion", expansion), (Metric, "metric", metric),
+        (Bounds, "bounds", bounds), (Stability, "stability", stability),
+        (GoalOrientations, "goals", goals), (Tree, "tree", tree),
+        (SceneConfig, "scene_config", scene_config),
+    )  # fmt: skip
+    seed = check_seed(seed)
     check_ends(nodes, seconds, until_rotation, bounds, goals)
     root = root_of(scene)
     frame = Frame.of(axis, root)
@@ -110,9 +121,9 @@ def grow(
         scene=scene,
         root=root,
         frame=frame,
-        metric=metric or Metric(),
+        metric=metric,
         bounds=bounds,
-        stability=stability or Stability(),
+        stability=stability,
         threads=threads,
         stepping=Stepping.of(
             scene_config if scene_config is not None or tree is None else tree.header.scene
@@ -198,6 +209,14 @@ def stuck(tree: Tree) -> str:
     )
 
 
+def _check_kinds(*those: tuple[type, str, object]) -> None:
+    for kind, name, value in those:
+        optional = kind in (Tree, SceneConfig) and value is None
+        if not (optional or isinstance(value, kind)):
+            made = ", as Kinematic() is one" if kind is Expansion else ""
+            raise InvalidInput(f"{name} is {shown(value)}; expected of class {kind.__name__}{made}")
+
+
 def check_ends(
     nodes: int | None,
     seconds: float | None,
@@ -211,8 +230,8 @@ def check_ends(
             "grow is told no end; expected nodes, seconds, until_rotation or goals, or several"
         )
     for name, value in (("nodes", nodes), ("seconds", seconds), ("until_rotation", until_rotation)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise InvalidInput(f"{name} is {value}; expected a number above 0")
+        if value is not None:
+            number(name, value, 0.0, np.finfo(float).max, "a number above 0", above=True)
     if until_rotation is not None and until_rotation > bounds.rotation[1] + 0.5:
         raise InvalidInput(
             f"until_rotation is {until_rotation:g}; targets go up to {bounds.rotation[1]:g} rad "

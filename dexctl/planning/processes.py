@@ -14,11 +14,14 @@ import numpy as np
 
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
 from dexctl.files import make_parent
+from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expansion
-from dexctl.planning.grow import Progress, grow
+from dexctl.planning.goals import GoalOrientations
+from dexctl.planning.grow import Progress, check_ends, grow
 from dexctl.planning.parts import part_file, part_files
 from dexctl.planning.tree import Tree
 from dexctl.sim import SceneConfig
+from dexctl.validation import check_seed
 
 LOOK = 0.2
 """Between looks at how far the trees are [s]."""
@@ -57,12 +60,11 @@ def grow_in_processes(
             already that no tree has been made of, and they are not to be gone on with.
         SimulationError: a process ended without a tree.
     """
-    target = make_parent(path)
+    target, seed, share = make_parent(path), check_seed(seed), share_of(nodes, jobs)
     parts = begin_parts(target, jobs, resume)
     context = multiprocessing.get_context("spawn")
     stop, shown = context.Event(), context.Array("d", numbers_of(None) * jobs)
     errors = context.SimpleQueue()
-    share = share_of(nodes, jobs)
     workers = [
         context.Process(
             target=_work,
@@ -115,8 +117,7 @@ def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:
     Raises:
         InvalidInput: no whole number above 0, or files that no tree has been made of.
     """
-    if not isinstance(jobs, (int, np.integer)) or isinstance(jobs, bool) or jobs < 1:
-        raise InvalidInput(f"jobs is {jobs!r}; expected a whole number of processes above 0")
+    _check_jobs(jobs)
     old = [] if resume else part_files(target)
     if old and not target.exists():  # of a run that was killed
         raise InvalidInput(
@@ -128,9 +129,22 @@ def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:
     return [part_file(target, i) for i in range(jobs)]
 
 
+def _check_jobs(jobs: int) -> None:
+    if not isinstance(jobs, (int, np.integer)) or isinstance(jobs, bool) or jobs < 1:
+        raise InvalidInput(f"jobs is {jobs!r}; expected a whole number of processes above 0")
+
+
 def share_of(nodes: int | None, jobs: int) -> int | None:
-    """How many nodes each of ``jobs`` trees needs for ``nodes`` together; they share the root."""
-    return None if nodes is None else 1 - (1 - nodes) // jobs
+    """How many nodes each of ``jobs`` trees needs for ``nodes`` together; they share the root.
+
+    Raises:
+        InvalidInput: no whole number of trees above 0, or no number of nodes.
+    """
+    _check_jobs(jobs)
+    if nodes is None:
+        return None
+    check_ends(nodes, None, None, Bounds(), GoalOrientations())
+    return 1 - (1 - nodes) // jobs
 
 
 def grow_part(

@@ -27,7 +27,7 @@ from dexctl.sim import BatchSimulator, Scene, SceneConfig
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Bools, Floats
 from dexctl.switch.landing import split, turned
-from dexctl.validation import check_name, check_numbers, check_whole
+from dexctl.validation import check_name, check_numbers, check_seed, check_whole
 
 PLACES = ("fingertips", "joints")
 _PALM = np.array([0.0, 0.0, 1.0])  # hands are described so that their palm looks along z
@@ -129,12 +129,13 @@ def sample_grasps(
         progress: called with the number of grasps so far.
 
     Raises:
-        InvalidInput: no such number of grasps, ``path`` cannot be written; or none was found at
-            all.
+        InvalidInput: no such number of grasps or seed, ``path`` cannot be written; or none was
+            found at all.
         SimulationError: the object does not stay in the hand.
     """
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
         raise InvalidInput(f"count is {count!r}; expected a whole number above 0")
+    seed = check_seed(seed, 0)
     file = None if path is None else make_parent(path)
     config, metric = sampling or GraspSampling(), metric or Metric()
     check = stability or Stability(min_contacts=config.min_contacts)

@@ -222,18 +222,31 @@ def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
         ({"nodes": 0}, "nodes is 0; expected a number above 0"),
         ({"until_rotation": 9.0}, "until_rotation is 9; targets go up to 7 rad"),
         ({"nodes": 5, "axis": (0, 0, 0)}, "axis"),
+        ({"nodes": "many"}, "nodes is 'many'; expected a number above 0"),
+        ({"nodes": 5, "seed": "a"}, "seed is 'a'; expected a whole number"),
+        ({"goals": [(1, 0, 0, 0)]}, r"goals is \[.*; expected of class GoalOrientations"),
+        ({"nodes": 5, "metric": 3}, "metric is 3; expected of class Metric"),
     ):
         with pytest.raises(InvalidInput, match=why):
             grow(cylinder, Never(), **wrong)
+    named: Any = "kinematic"
+    with pytest.raises(InvalidInput, match="expansion is 'kinematic'; expected of class Expansion"):
+        grow(cylinder, named, nodes=5)
     down = Scene.build("dex5", "cylinder", "down")
     with pytest.raises(InvalidInput, match="the tree is of the gravity"):
         grow(down, RandomActions(batch=2), nodes=30, tree=small, threads=1)
+    pair: Any = 3
+    one: Any = (0,)
     for make, why in (
         (lambda: RandomActions(actions=0), "actions is 0"),
         (lambda: RandomActions(scale=-1), "scale is -1"),
         (lambda: ControllerMacros(still=0.8, guided=0.4), "add up to 1"),
         (lambda: ControllerMacros(seconds=(1.0, 9.0)), "seconds is"),
         (lambda: ControllerMacros(speed=(1.0, 0.0)), "speed is"),
+        (lambda: ControllerMacros(speed=pair), r"speed is 3; expected \(least, greatest\)"),
+        (lambda: Bounds(rotation=pair), r"rotation is 3; expected \(least <= 0, greatest > 0\)"),
+        (lambda: Bounds(rotation=one), r"rotation is \(0,\); expected \(least"),
+        (lambda: Bounds(rotation=(1.0, 2.0)), r"rotation is \(1\.0, 2\.0\); expected"),
     ):
         with pytest.raises(InvalidInput, match=why):
             make()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,7 +59,10 @@ def test_what_goes_wrong_in_a_process_is_said(tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match="without a tree: grow is told no end"):
         grow_in_processes(config, RandomActions(), 1, path=tmp_path / "tree.npz")
     with pytest.raises(InvalidInput, match="jobs is 0; expected a whole number of processes"):
-        grow_in_processes(config, RandomActions(), 0, path=tmp_path / "tree.npz")
+        grow_in_processes(config, RandomActions(), 0, path=tmp_path / "tree.npz", nodes=3)
+    many: Any = "many"
+    with pytest.raises(InvalidInput, match="nodes is 'many'; expected a number above 0"):
+        grow_in_processes(config, RandomActions(), 2, path=tmp_path / "tree.npz", nodes=many)
     assert not list(tmp_path.iterdir())
 
 

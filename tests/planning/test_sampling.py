@@ -89,6 +89,8 @@ def test_what_was_found_before_ctrl_c_is_kept(l_shape: Scene, tmp_path: Path) ->
 def test_what_sampling_refuses(l_shape: Scene) -> None:
     with pytest.raises(InvalidInput, match="path is '/dev/null/a'; cannot write there"):
         sample_grasps(l_shape, 5, path="/dev/null/a")
+    with pytest.raises(InvalidInput, match="seed is -1; expected a whole number from 0 on"):
+        sample_grasps(l_shape, 5, seed=-1)
     with pytest.raises(InvalidInput, match="count is 0; expected a whole number"):
         sample_grasps(l_shape, 0)
     with pytest.raises(UnknownName, match="unknown place 'elbows'; known: fingertips, joints"):
