@@ -367,7 +367,6 @@ class _Bar:
         )
         why = max(now.refused, key=lambda name: now.refused[name], default="")
         most = f", most for {why}" if why else ""
-        # several processes do not tell what they refuse before they are done
         self._bar.update(
             self._refused,
             completed=share,

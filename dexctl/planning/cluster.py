@@ -8,8 +8,6 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from dexctl.cluster import connect, cores, inside, reason
 from dexctl.exceptions import DexctlError
 from dexctl.files import aside, make_parent
@@ -20,7 +18,6 @@ from dexctl.planning.processes import (
     begin_parts,
     grow_part,
     merge_parts,
-    numbers_of,
     share_of,
     summed,
     what_grew,
@@ -102,11 +99,11 @@ class Board:
     """Where tasks tell how far they are and leave their trees: an actor of the cluster."""
 
     def __init__(self, jobs: int) -> None:
-        self._shown = np.array([numbers_of(None)] * jobs)
+        self._shown: list[Progress | None] = [None] * jobs
         self._files: dict[int, bytes] = {}
         self._stop = False
 
-    def tell(self, number: int, shown: Sequence[float], file: bytes | None) -> bool:
+    def tell(self, number: int, shown: Progress | None, file: bytes | None) -> bool:
         """What task ``number`` has; whether it is to stop."""
         self._shown[number] = shown
         if file is not None:
@@ -117,8 +114,8 @@ class Board:
         """Every task is to stop."""
         self._stop = True
 
-    def look(self) -> tuple[np.ndarray, Mapping[int, bytes]]:
-        """The numbers of all tasks, and the trees that have come since the last look."""
+    def look(self) -> tuple[list[Progress | None], Mapping[int, bytes]]:
+        """How far all tasks are, and the trees that have come since the last look."""
         files, self._files = self._files, {}
         return self._shown, files
 
@@ -137,7 +134,8 @@ def _work(
         part = Path(folder) / TREE
         if file is not None:
             part.write_bytes(file)
-        shown, told, sent, stopped = numbers_of(None), 0.0, 0, False
+        shown: Progress | None = None
+        told, sent, stopped = 0.0, 0, False
 
         def tell() -> None:
             nonlocal told, sent, stopped
@@ -148,7 +146,7 @@ def _work(
 
         def watch(now: Progress) -> bool:
             nonlocal shown
-            shown = numbers_of(now)
+            shown = now
             if perf_counter() - told > LOOK:
                 tell()
             return stopped

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from multiprocessing.context import SpawnContext
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +28,7 @@ from dexctl.validation import check_seed
 
 LOOK = 0.2
 """Between looks at how far the trees are [s]."""
+_ROOM = 4096  # for what a process shows of its tree [bytes]
 
 
 def grow_in_processes(
@@ -63,7 +67,7 @@ def grow_in_processes(
     target, seed, share = make_parent(path), check_seed(seed), share_of(nodes, jobs)
     parts = begin_parts(target, jobs, resume)
     context = multiprocessing.get_context("spawn")
-    stop, shown = context.Event(), context.Array("d", numbers_of(None) * jobs)
+    stop, shown = context.Event(), _Shown(context, jobs)
     errors = context.SimpleQueue()
     workers = [
         context.Process(
@@ -82,7 +86,7 @@ def grow_in_processes(
         while any(worker.is_alive() for worker in workers):
             time.sleep(LOOK)
             if progress is not None:
-                progress(summed(np.array(shown).reshape(jobs, -1), start))
+                progress(summed(shown.look(), start))
     except BaseException:
         stop.set()
         raise
@@ -200,7 +204,7 @@ def _work(
     part: Path,
     number: int,
     stop: Any,
-    shown: Any,
+    shown: _Shown,
     errors: Any,
     **arguments: Any,
 ) -> None:
@@ -208,9 +212,7 @@ def _work(
     parent = multiprocessing.parent_process()
 
     def watch(now: Progress) -> bool:
-        numbers = numbers_of(now)
-        first = len(numbers) * number
-        shown[first : first + len(numbers)] = numbers
+        shown.show(number, now)
         # who has killed the parent wants an end
         return stop.is_set() or (parent is not None and not parent.is_alive())
 
@@ -224,15 +226,40 @@ def _work(
         stop.set()
 
 
-def numbers_of(now: Progress | None) -> list[float]:
-    """What is shown of one tree: nodes, expansions, rotation, physics steps; None: of no tree."""
-    if now is None:
-        return [0.0] * 4
-    return [now.nodes, now.expansions, now.rotation, now.physics_steps]
+def summed(shown: Iterable[Progress | None], start: float) -> Progress:
+    """The progress of all trees, None where there is none yet, since ``start``."""
+    every = [one for one in shown if one is not None]
+    refused = Counter[str]()
+    for one in every:
+        refused.update(one.refused)
+    return Progress(
+        nodes=sum(one.nodes for one in every),
+        expansions=sum(one.expansions for one in every),
+        rotation=max((one.rotation for one in every), default=0.0),
+        seconds=time.perf_counter() - start,
+        refused=dict(refused),
+        physics_steps=sum(one.physics_steps for one in every),
+    )
 
 
-def summed(shown: np.ndarray, start: float) -> Progress:
-    """The progress of all trees, whose `numbers_of` are ``(jobs, 4)``, since ``start``."""
-    nodes, expansions, _, steps = shown.sum(axis=0).astype(int).tolist()
-    rotation = float(shown[:, 2].max())
-    return Progress(nodes, expansions, rotation, time.perf_counter() - start, {}, steps)
+class _Shown:
+    """What processes show of their trees: a text each, in memory that they share."""
+
+    def __init__(self, context: SpawnContext, jobs: int) -> None:
+        self._jobs, self._memory = jobs, context.Array("c", _ROOM * jobs)
+
+    def show(self, number: int, now: Progress) -> None:
+        """Process ``number`` is so far."""
+        text = json.dumps(now).encode()
+        if len(text) >= _ROOM:  # reasons of an expansion that has very many
+            text = json.dumps(now._replace(refused={})).encode()
+        first = _ROOM * number
+        with self._memory.get_lock():
+            self._memory[first : first + _ROOM] = text.ljust(_ROOM, b"\0")
+
+    def look(self) -> list[Progress | None]:
+        """How far each is; None: it has not begun."""
+        with self._memory.get_lock():
+            whole = bytes(self._memory[:])
+        texts = [whole[i * _ROOM : (i + 1) * _ROOM].rstrip(b"\0") for i in range(self._jobs)]
+        return [Progress(*json.loads(text)) if text else None for text in texts]

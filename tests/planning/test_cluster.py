@@ -67,10 +67,10 @@ def test_no_cluster(tmp_path: Path) -> None:
 
 
 def test_the_board_hands_each_tree_on_once() -> None:
-    board = Board(2)
-    assert not board.tell(1, [3, 4, 0.5, 6], b"tree")
+    board, now = Board(2), Progress(3, 4, 0.5, 1.0, {"bounds": 2}, 6)
+    assert not board.tell(1, now, b"tree")
     shown, files = board.look()
-    assert shown.tolist() == [[0, 0, 0, 0], [3, 4, 0.5, 6]] and files == {1: b"tree"}
+    assert shown == [None, now] and files == {1: b"tree"}
     assert not board.look()[1]
     board.stop()
-    assert board.tell(0, [1, 1, 0, 0], None)
+    assert board.tell(0, None, None)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_in_processes
 from dexctl.planning.parts import part_files
+from dexctl.planning.processes import _Shown, summed
 from dexctl.sim import Scene, SceneConfig
 
 
@@ -24,7 +27,10 @@ def test_two_processes_grow_what_each_would_have_grown(tmp_path: Path) -> None:
     np.testing.assert_array_equal(tree.rotation, Tree.merge(alone).rotation)
     assert tree.header.expansions == sum(one.header.expansions for one in alone)
     assert (np.sort(tree.expansion)[-1]) <= 2 * tree.header.expansions
-    assert seen
+    # looked at from time to time: the last look may be before the end
+    assert seen and seen[-1].expansions
+    assert sum(seen[-1].refused.values()) and set(seen[-1].refused) <= set(tree.header.refused)
+    assert all(count <= tree.header.refused[why] for why, count in seen[-1].refused.items())
     assert set(tmp_path.iterdir()) == {path, *part_files(path)}
 
 
@@ -64,6 +70,17 @@ def test_what_goes_wrong_in_a_process_is_said(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="nodes is 'many'; expected a number above 0"):
         grow_in_processes(config, RandomActions(), 2, path=tmp_path / "tree.npz", nodes=many)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_processes_show_is_summed() -> None:
+    shown = _Shown(multiprocessing.get_context("spawn"), 3)
+    shown.show(0, Progress(5, 8, 0.5, 1.0, {"bounds": 2, "contacts": 1}, 60))
+    shown.show(2, Progress(3, 4, 0.7, 2.0, {"bounds": 3}, 40))
+    found = summed(shown.look(), perf_counter())
+    assert found._replace(seconds=0.0) == (8, 12, 0.7, 0.0, {"bounds": 5, "contacts": 1}, 100)
+    shown.show(0, Progress(6, 9, 0.5, 1.0, {str(why): why for why in range(999)}, 60))
+    assert summed(shown.look(), 0.0).refused == {"bounds": 3}
+    assert summed([None], 0.0).nodes == 0
 
 
 def test_growing_stops_where_progress_says_so(cylinder: Scene) -> None:
