@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from dexctl.exceptions import InvalidInput
 
 
 @contextmanager
@@ -25,6 +28,25 @@ def aside(path: Path) -> Iterator[Path]:
     finally:
         part.unlink(missing_ok=True)
     _sync(path.parent)
+
+
+def make_parent(path: str | Path, what: str = "path") -> Path:
+    """``path``, with its folder made where it is not there.
+
+    Raises:
+        InvalidInput: it cannot be made, or is no folder; the message says ``what`` the path is.
+    """
+    found = Path(path).expanduser()
+    try:
+        found.parent.mkdir(parents=True, exist_ok=True)
+        if not os.access(found.parent, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        if found.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InvalidInput(f"{what} is {str(path)!r}; cannot write there: {reason}") from None
+    return found
 
 
 def is_path(text: str | Path) -> bool:

@@ -141,6 +141,33 @@ def check_vector(
     return array
 
 
+def check_pair(name: str, value: object, expected: str) -> tuple[float, float]:
+    """``value`` as two finite numbers.
+
+    Raises:
+        InvalidInput: it is none; the message says what is ``expected``.
+    """
+    array = numbers(name, cast(Any, value), expected)
+    if array.shape != (2,) or not np.isfinite(array).all():
+        raise InvalidInput(f"{name} is {shown(value)}; expected {expected}")
+    low, high = array.tolist()
+    return low, high
+
+
+def check_seed(seed: object, least: int | None = None) -> int:
+    """``seed`` as a whole number, from ``least`` on.
+
+    Raises:
+        InvalidInput: it is none.
+    """
+    if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
+        found = int(seed)
+        if least is None or found >= least:
+            return found
+    wanted = "a whole number" if least is None else f"a whole number from {least} on"
+    raise InvalidInput(f"seed is {shown(seed)}; expected {wanted}")
+
+
 def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """``value`` ``(..., 4)`` with a length of 1.
 

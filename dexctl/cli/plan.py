@@ -34,11 +34,13 @@ from dexctl.planning import (
     grow_on_cluster,
     holding,
 )
-from dexctl.planning.grow import check_ends
-from dexctl.planning.processes import part_files
+from dexctl.planning.grow import check_ends, stuck
+from dexctl.planning.parts import part_files
+from dexctl.planning.scene_settings import check_used
 from dexctl.planning.tree import TREE
 from dexctl.settings import NESTED, Quaternion, Vector
 from dexctl.sim import Scene, SceneConfig
+from dexctl.state import Floats
 from dexctl.statistics import wilson
 from dexctl.validation import shown_numbers, unit_axis
 
@@ -52,9 +54,9 @@ class Plan:
     """Grow a tree of grasps that turn an object.
 
     Where nothing says when to stop, it stops after a full turn, or towards goal orientations when
-    all are reached, after a minute at the latest; where one is not, it fails. The tree in the
-    folder is whole at any moment: after Ctrl-C, --resume goes on with it. `dexctl plan show` films
-    and draws it.
+    all are reached, after a minute at the latest; where what was wanted is not reached, it fails.
+    The tree in the folder is whole at any moment: after Ctrl-C, --resume goes on with it.
+    `dexctl plan show` films and draws it.
     """
 
     expand: str = "controllers"
@@ -98,6 +100,7 @@ class Plan:
             raise InvalidInput(
                 f"--object is {' '.join(self.scene.object)}; this command takes one object"
             )
+        check_used(self.scene)
         path = make_folder(self.out) / TREE
         tree = self._tree(path)
         until, seconds = self.until_rotation, self.seconds
@@ -130,11 +133,14 @@ class Plan:
                         self.scene, expansion, jobs or 1, progress=show, resume=self.resume, **ends
                     )
         except KeyboardInterrupt:
+            there = path.exists() or part_files(path)
             raise KeyboardInterrupt(
                 f"interrupted; the tree is in {path}, and the same command with --resume goes on"
+                if there
+                else "interrupted before there was a tree"
             ) from None
         found = describe(tree)
-        if not tree.header.physics_steps:
+        if not tree.header.physics_steps and len(tree) > 1:
             found["holds"] = self._held(scene, tree)
         away = self.goals.away(tree.nodes.object_quaternion)
         if len(away):
@@ -144,14 +150,32 @@ class Plan:
             print_json(found)
         else:
             _print(tree, found)
-        for goal, far in zip(self.goals.orientations, away, strict=True):
-            if far > self.goals.angle:
-                notes().print(
-                    f"goal {shown_numbers(goal)} is not reached: the nearest of {len(tree)} "
-                    f"nodes is {far:.2f} rad from it",
-                    soft_wrap=True,
-                )
-        return int((away > self.goals.angle).any())
+        missed = self._missed(tree, until, away)
+        for line in missed:
+            notes().print(line, soft_wrap=True)
+        return int(bool(missed))
+
+    def _missed(self, tree: Tree, until: float | None, away: Floats) -> list[str]:
+        """What was wanted of the tree and is not there, a line each."""
+        if len(tree) == 1 and self.nodes != 1:
+            return [stuck(tree)]
+        found = [
+            f"goal {shown_numbers(goal)} is not reached: the nearest of {len(tree)} nodes is "
+            f"{far:.2f} rad from it"
+            for goal, far in zip(self.goals.orientations, away, strict=True)
+            if far > self.goals.angle
+        ]
+        if len(away) and not found:
+            return []
+        turned = float(tree.rotation.max())
+        if until is not None and turned < until:
+            found.append(
+                f"--until-rotation {until:.2f} is not reached: the greatest rotation of "
+                f"{len(tree)} nodes is {turned:.2f} rad"
+            )
+        elif until is None and not found and self.nodes is not None and len(tree) < self.nodes:
+            found.append(f"--nodes {self.nodes} is not reached: there are {len(tree)}")
+        return found
 
     def _expansion(self) -> Expansion:
         known: dict[str, Expansion] = {
@@ -205,9 +229,18 @@ class Plan:
                     f"{path} is there already; expected --resume, which goes on with it, or "
                     "another --out"
                 )
-            for part in part_files(path):  # of a run that was killed
-                part.unlink(missing_ok=True)
+            parts = part_files(path)
+            if parts:
+                raise InvalidInput(
+                    f"{path.parent} has the trees of {len(parts)} processes of a run that was "
+                    "killed; expected --resume, which goes on with them, or another --out"
+                )
             return None
+        if not (path.exists() or part_files(path)):
+            raise InvalidInput(
+                f"{path.parent} has no tree to go on with; expected --out of one that was begun, "
+                "or the command without --resume"
+            )
         # a merged tree is made of those of its processes, which go on
         return None if part_files(path) else Tree.load(path)
 
@@ -335,7 +368,6 @@ class _Bar:
         )
         why = max(now.refused, key=lambda name: now.refused[name], default="")
         most = f", most for {why}" if why else ""
-        # several processes do not tell what they refuse before they are done
         self._bar.update(
             self._refused,
             completed=share,

@@ -12,7 +12,9 @@ from dexctl.cli.checks import check_count
 from dexctl.cli.output import notes, print_json, progress, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
+from dexctl.files import make_parent
 from dexctl.planning import GraspSampling, Stability, Tree, path_states, sample_grasps
+from dexctl.planning.scene_settings import check_used
 from dexctl.planning.starts import Goals, Weights
 from dexctl.settings import NESTED, Vector
 from dexctl.sim import SceneConfig
@@ -47,12 +49,14 @@ class States:
 
     def run(self) -> int:
         check_count("--count", self.count)
+        path = make_parent(self.out, "--out")
         tree = Tree.load(self.tree)
         states = path_states(
             tree, self.count, goals=self.goals, weights=self.weights,
             scene=tree.header.build_scene(), threads=self.threads, seed=self.seed,
         )  # fmt: skip
-        return _written(states, self.out, self.json, {"command": "plan states"})
+        states.save(path)
+        return _said(states, path, self.json, {"command": "plan states"})
 
 
 @dataclass(kw_only=True)
@@ -82,25 +86,34 @@ class Sample:
             raise InvalidInput(
                 f"--object is {' '.join(self.scene.object)}; this command takes one object"
             )
+        check_used(self.scene)
         (scene,) = self.scene.scenes()
+        path, so_far = make_parent(self.out, "--out"), 0
         with progress(notes()) as bar:
             task = bar.add_task("grasps", total=self.count)
-            found = sample_grasps(
-                scene, self.count, self.sampling, axis=unit_axis(self.axis), seed=self.seed,
-                stability=self.stability, threads=self.scene.threads,
-                progress=lambda now: bar.update(task, completed=now),
-            )  # fmt: skip
+
+            def show(now: int) -> None:
+                nonlocal so_far
+                so_far = now
+                bar.update(task, completed=now)
+
+            try:
+                found = sample_grasps(
+                    scene, self.count, self.sampling, axis=unit_axis(self.axis), seed=self.seed,
+                    stability=self.stability, threads=self.scene.threads,
+                    scene_config=self.scene, path=path, progress=show,
+                )  # fmt: skip
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"interrupted; {so_far} of {self.count} grasps are in {path}"
+                    if so_far
+                    else "interrupted before a grasp was found"
+                ) from None
         about = {"command": "plan sample", "tried": found.tried, "refused": found.refused}
-        return _written(found.states, self.out, self.json, about)
+        return _said(found.states, path, self.json, about)
 
 
-def _written(states: GraspStates, path: Path, as_json: bool, about: dict[str, Any]) -> int:
-    path = path.expanduser()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        states.save(path)
-    except OSError as error:
-        raise InvalidInput(f"cannot write --out {path}: {error.strerror or error}") from None
+def _said(states: GraspStates, path: Path, as_json: bool, about: dict[str, Any]) -> int:
     if as_json:
         print_json({**about, "states": len(states), "file": str(path)})
     else:

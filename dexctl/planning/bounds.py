@@ -11,7 +11,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.planning.metric import Metric
 from dexctl.planning.nodes import Frame, Nodes
 from dexctl.state import Bools, Floats
-from dexctl.validation import check_numbers
+from dexctl.validation import check_numbers, check_pair
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,11 +30,10 @@ class Bounds:
 
     def __post_init__(self) -> None:
         check_numbers(self, positive=("displacement", "tilt", "joints"))
-        low, high = self.rotation
-        if not (np.isfinite(low) and np.isfinite(high) and low <= 0 < high):
-            raise InvalidInput(
-                f"rotation is {self.rotation}; expected (least <= 0, greatest > 0), in radians"
-            )
+        wanted = "(least <= 0, greatest > 0), in radians"
+        low, high = check_pair("rotation", self.rotation, wanted)
+        if not low <= 0 < high:
+            raise InvalidInput(f"rotation is {self.rotation}; expected {wanted}")
 
     def hold(self, frame: Frame, nodes: Nodes) -> Bools:
         """Which nodes are within the bounds, ``(N,)``."""

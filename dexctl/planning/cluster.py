@@ -8,11 +8,9 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from dexctl.cluster import connect, cores, inside, reason
 from dexctl.exceptions import DexctlError
-from dexctl.files import aside
+from dexctl.files import aside, make_parent
 from dexctl.planning.expansion import Expansion
 from dexctl.planning.grow import Progress
 from dexctl.planning.processes import (
@@ -20,13 +18,14 @@ from dexctl.planning.processes import (
     begin_parts,
     grow_part,
     merge_parts,
-    numbers_of,
+    share_of,
     summed,
     what_grew,
 )
 from dexctl.planning.tree import TREE, Tree
 from dexctl.settings import absolute
 from dexctl.sim import SceneConfig
+from dexctl.validation import check_seed
 
 _TO_STOP = 60.0  # tasks that are told to stop have this long to send what they have [s]
 
@@ -60,14 +59,14 @@ def grow_on_cluster(
         ClusterError: no cluster at the address.
         InvalidInput, SimulationError: as `grow_in_processes`.
     """
+    target, seed = make_parent(path), check_seed(seed)
     ray = connect(address)
     try:
         jobs = cores(ray) if jobs is None else jobs
-        target = Path(path)
         parts = begin_parts(target, jobs, resume)
         board = ray.remote(Board).options(num_cpus=0).remote(jobs)
         task = ray.remote(_work).options(num_cpus=1, max_retries=0, name="dexctl plan")
-        here, share = Path.cwd(), None if nodes is None else -(-nodes // jobs)
+        here, share = Path.cwd(), share_of(nodes, jobs)
         tasks = [
             task.remote(
                 absolute(scene_config, here), absolute(expansion, here), i, board,
@@ -100,11 +99,11 @@ class Board:
     """Where tasks tell how far they are and leave their trees: an actor of the cluster."""
 
     def __init__(self, jobs: int) -> None:
-        self._shown = np.array([numbers_of(None)] * jobs)
+        self._shown: list[Progress | None] = [None] * jobs
         self._files: dict[int, bytes] = {}
         self._stop = False
 
-    def tell(self, number: int, shown: Sequence[float], file: bytes | None) -> bool:
+    def tell(self, number: int, shown: Progress | None, file: bytes | None) -> bool:
         """What task ``number`` has; whether it is to stop."""
         self._shown[number] = shown
         if file is not None:
@@ -115,8 +114,8 @@ class Board:
         """Every task is to stop."""
         self._stop = True
 
-    def look(self) -> tuple[np.ndarray, Mapping[int, bytes]]:
-        """The numbers of all tasks, and the trees that have come since the last look."""
+    def look(self) -> tuple[list[Progress | None], Mapping[int, bytes]]:
+        """How far all tasks are, and the trees that have come since the last look."""
         files, self._files = self._files, {}
         return self._shown, files
 
@@ -135,7 +134,8 @@ def _work(
         part = Path(folder) / TREE
         if file is not None:
             part.write_bytes(file)
-        shown, told, sent, stopped = numbers_of(None), 0.0, 0, False
+        shown: Progress | None = None
+        told, sent, stopped = 0.0, 0, False
 
         def tell() -> None:
             nonlocal told, sent, stopped
@@ -146,7 +146,7 @@ def _work(
 
         def watch(now: Progress) -> bool:
             nonlocal shown
-            shown = numbers_of(now)
+            shown = now
             if perf_counter() - told > LOOK:
                 tell()
             return stopped

@@ -149,7 +149,7 @@ class ContactModel:
         """Motions of each finger's joints ``(N, m, n)`` as motions of the d joints, ``(N, d)``."""
         count, d = len(finger_motion), self.hand.nq
         out = np.zeros((count, d + 1))
-        out[:, self._joints.ravel()] = finger_motion.reshape(count, -1)
+        out[:, self._joints.ravel()] = finger_motion.reshape(count, self._joints.size)
         return out[:, :d]
 
     def clear(self, reached: Reached, touch: Bools, position: Floats, quaternion: Floats) -> Bools:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.metric import Metric
 from dexctl.planning.nodes import Frame, Nodes
+from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.sim import Scene
 from dexctl.state import Floats
@@ -28,6 +29,7 @@ class Problem:
         frame: what rotation and tilt are measured from.
         metric, bounds, stability: as `grow` was given them.
         threads: of the physics.
+        stepping: of the physics, too.
     """
 
     scene: Scene
@@ -37,6 +39,7 @@ class Problem:
     bounds: Bounds = field(default_factory=Bounds)
     stability: Stability = field(default_factory=Stability)
     threads: int | None = None
+    stepping: Stepping = field(default_factory=lambda: Stepping.of(None))
 
 
 class Offspring(NamedTuple):

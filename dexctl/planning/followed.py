@@ -90,7 +90,7 @@ class _EdgeDrive:
     def __init__(self, config: FollowedEdges, problem: Problem) -> None:
         self._config, self._problem = config, problem
         hand, tree = problem.scene.hand, config.load(problem.scene, problem.frame.axis)
-        self._gait = PlannedGait(hand, tree)
+        self._gait = PlannedGait(hand, tree, control_period=problem.stepping.control_period)
         self._route = Route(tree, hand, self._gait.config.rotation, every=True)
         self._gait.route = self._route
 

@@ -12,17 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
+from dexctl.files import make_parent
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expansion, Problem
 from dexctl.planning.goals import GoalOrientations
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.metric import Metric, Nearest
 from dexctl.planning.nodes import Frame, root_of
+from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 from dexctl.settings import to_plain
 from dexctl.sim import Scene, SceneConfig
+from dexctl.validation import check_seed, number, shown
 
+_STUCK = 3000  # expansions of the root without a node beyond it: it is given up
 _BLOCK = 10.0  # the file is written anew after this long, and never for more than a tenth of it [s]
 
 
@@ -82,18 +86,33 @@ def grow(
         seed: the same seed, batch and number of expansions give the same tree.
         metric, bounds, stability: None: their defaults.
         threads: of the physics; None: every core.
-        scene_config: what the scene was built from, for the tree's header; None: not known.
-        tree: one to go on with; its own seed and counts are continued.
-        path: where the tree is written every few seconds and at the end, however that comes
-            (Ctrl-C too): a killed process loses the last block of some seconds, no more.
+        scene_config: what the scene was built from, for the tree's header and for how the physics
+            is stepped; None: not known, or what ``tree`` was grown in. `check_used` says which
+            other settings of it are of no effect.
+        tree: one to go on with, grown with the same settings; its own seed and counts are
+            continued.
+        path: where the tree is written, at the start, every few seconds and at the end, however
+            that comes (Ctrl-C too): a killed process loses the last block of some seconds, no more.
         progress: called after every batch; where it returns True, the tree is left as it is.
 
     Raises:
-        InvalidInput: nothing says when to stop, a goal has the axis upside down, or a tree of
-            another hand, object or gravity.
+        InvalidInput: nothing says when to stop, ``path`` cannot be written, a goal has the axis
+            upside down, a tree of another hand, object or gravity, or of other settings; or no
+            grasp was reached from the root in 3,000 expansions.
         SimulationError: the object does not stay in the hand.
     """
-    bounds, goals = bounds or Bounds(), goals or GoalOrientations()
+    path = None if path is None else make_parent(path)
+    metric = Metric() if metric is None else metric
+    bounds = Bounds() if bounds is None else bounds
+    stability = Stability() if stability is None else stability
+    goals = GoalOrientations() if goals is None else goals
+    _check_kinds(
+        (Scene, "scene", scene), (Expansion, "expansion", expansion), (Metric, "metric", metric),
+        (Bounds, "bounds", bounds), (Stability, "stability", stability),
+        (GoalOrientations, "goals", goals), (Tree, "tree", tree),
+        (SceneConfig, "scene_config", scene_config),
+    )  # fmt: skip
+    seed = check_seed(seed)
     check_ends(nodes, seconds, until_rotation, bounds, goals)
     root = root_of(scene)
     frame = Frame.of(axis, root)
@@ -102,16 +121,20 @@ def grow(
         scene=scene,
         root=root,
         frame=frame,
-        metric=metric or Metric(),
+        metric=metric,
         bounds=bounds,
-        stability=stability or Stability(),
+        stability=stability,
         threads=threads,
+        stepping=Stepping.of(
+            scene_config if scene_config is not None or tree is None else tree.header.scene
+        ),
     )
-    expander = expansion.open(problem)
+    expander, new = expansion.open(problem), tree is None
     try:
-        tree = _begin(problem, expansion, goals, expander.action_names, seed, tree)
-        if scene_config is not None:
-            tree.header.scene = to_plain(scene_config)
+        tree = _begin(problem, expansion, goals, expander.action_names, seed, scene_config, tree)
+        if path is not None and new:  # what is stopped in the first seconds can be resumed too
+            tree.save(path)
+        before = tree.header.expansions
         search = Nearest(len(scene.hand.joint_names) + 6)
         search.add(problem.metric.of(problem.frame, tree.nodes))
         limits = (np.asarray(scene.lower), np.asarray(scene.upper))
@@ -160,6 +183,8 @@ def grow(
                 )
                 if told is True:
                     break
+            if len(tree) == 1 and header.expansions - before >= _STUCK:
+                raise InvalidInput(stuck(tree))
             if path is not None and perf_counter() - saved > wait:
                 began = perf_counter()
                 tree.save(path)
@@ -170,6 +195,26 @@ def grow(
         expander.close()
         if path is not None and tree is not None:
             tree.save(path)
+
+
+def stuck(tree: Tree) -> str:
+    """Of a tree that has nothing but its root: that it is so, and what was in the way."""
+    header = tree.header
+    most = sorted(header.refused.items(), key=lambda one: -one[1])
+    why = " and ".join(f"{name} ({count})" for name, count in most[:2] if count)
+    return (
+        f"no grasp of the {header.object} was reached from the settled one in {header.expansions} "
+        f"expansions{why and f', refused most for {why}'}; expected another way to expand, other "
+        f"settings of {header.expansion}, or another object"
+    )
+
+
+def _check_kinds(*those: tuple[type, str, object]) -> None:
+    for kind, name, value in those:
+        optional = kind in (Tree, SceneConfig) and value is None
+        if not (optional or isinstance(value, kind)):
+            made = ", as Kinematic() is one" if kind is Expansion else ""
+            raise InvalidInput(f"{name} is {shown(value)}; expected of class {kind.__name__}{made}")
 
 
 def check_ends(
@@ -185,8 +230,8 @@ def check_ends(
             "grow is told no end; expected nodes, seconds, until_rotation or goals, or several"
         )
     for name, value in (("nodes", nodes), ("seconds", seconds), ("until_rotation", until_rotation)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise InvalidInput(f"{name} is {value}; expected a number above 0")
+        if value is not None:
+            number(name, value, 0.0, np.finfo(float).max, "a number above 0", above=True)
     if until_rotation is not None and until_rotation > bounds.rotation[1] + 0.5:
         raise InvalidInput(
             f"until_rotation is {until_rotation:g}; targets go up to {bounds.rotation[1]:g} rad "
@@ -200,30 +245,31 @@ def _begin(
     goals: GoalOrientations,
     action_names: tuple[str, ...],
     seed: int,
+    scene_config: SceneConfig | None,
     tree: Tree | None,
 ) -> Tree:
     """A new tree, or the one that is to go on, where it is of this problem."""
     settings = {
-        name: to_plain(value)
-        for name, value in (
-            ("expansion", expansion),
-            ("metric", problem.metric),
-            ("bounds", problem.bounds),
-            ("stability", problem.stability),
-            ("goals", goals),
-        )
+        "expansion": expansion,
+        "goals": goals,  # before the bounds, which are as wide as they ask for
+        "metric": problem.metric,
+        "bounds": problem.bounds,
+        "stability": problem.stability,
     }
     header = TreeHeader.of(
         problem.scene,
         problem.frame.axis,
         type(expansion).__name__,
         action_names,
-        settings,
+        {name: to_plain(value) for name, value in settings.items()},
         seed,
     )
+    header.scene = None if scene_config is None else to_plain(scene_config)
     if tree is None:
         return Tree(header, problem.root)
     tree.header.check_same(header)
+    tree.header.check_settings(settings)
+    tree.header.scene = header.scene or tree.header.scene
     if not np.allclose(tree.nodes.q[0], problem.root.q[0], atol=1e-6):
         raise InvalidInput("the tree has another root than the scene's settled grasp")
     return tree

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dexctl.exceptions import InvalidInput
-from dexctl.settings import from_plain
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.planning.scene_settings import PHYSICS
+from dexctl.settings import absolute, differing, from_plain, get, to_plain
 from dexctl.sim import Scene, SceneConfig
 
 FORMAT = 1
 _SAME = (
     "hand", "joint_names", "object", "object_width", "object_mass", "gravity", "axis",
-    "action_names",
+    "expansion", "action_names",
 )  # fmt: skip
 
 
@@ -125,7 +127,10 @@ class TreeHeader:
         return cls(**rest)
 
     def check_same(self, other: TreeHeader) -> None:
-        """Raise InvalidInput where the two are not of one hand, object, gravity and action."""
+        """Raise InvalidInput where the two are not of one hand, object, gravity and expansion.
+
+        Nor, where both know their scene's configuration, of one friction, servos and time steps.
+        """
         for name in _SAME:
             mine, theirs = getattr(self, name), getattr(other, name)
             if name in ("object_width", "object_mass", "gravity", "axis"):
@@ -134,6 +139,34 @@ class TreeHeader:
                 same = mine == theirs
             if not same:
                 raise InvalidInput(f"the tree is of the {name} {mine!r}; expected {theirs!r}")
+        if self.scene is None or other.scene is None:
+            return
+        usual = to_plain(SceneConfig())
+        for name in PHYSICS:  # files of earlier versions may lack what there was not
+            mine, theirs = (one.get(name, usual[name]) for one in (self.scene, other.scene))
+            if mine != theirs:
+                raise InvalidInput(f"the tree is of the {name} {mine!r}; expected {theirs!r}")
+
+    def check_settings(self, settings: Mapping[str, Any]) -> None:
+        """Raise InvalidInput where the tree was grown with other settings than these.
+
+        Args:
+            settings: configurations, by their names in ``settings``.
+        """
+        for what, now in settings.items():
+            try:
+                before = from_plain(type(now), self.settings[what], what)
+            except (KeyError, InvalidInput, UnknownName) as error:
+                raise InvalidInput(
+                    f"the tree's settings are not of this version: {error}"
+                ) from None
+            here = Path.cwd()  # files may be named from it
+            before, now = absolute(before, here), absolute(now, here)
+            for path in differing(before, now):
+                raise InvalidInput(
+                    f"the tree was grown with {what}.{path} {get(before, path)}, not "
+                    f"{get(now, path)}; expected the same to go on with it, or a new tree"
+                )
 
     @classmethod
     def sum(cls, headers: Sequence[TreeHeader]) -> TreeHeader:

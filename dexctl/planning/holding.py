@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
 from dexctl.planning.nodes import put
+from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 from dexctl.sim import BatchSimulator, Scene
@@ -46,7 +47,8 @@ def holding(
     check = stability or replace(Stability(), seconds=2.0)
     nodes = tree.nodes if index is None else tree.nodes.take(index)
     found = np.zeros(len(nodes), bool)
-    with BatchSimulator(scene, batch, disturbance=0.0, threads=threads) as sim:
+    stepping = Stepping.of(header.scene)._asdict()
+    with BatchSimulator(scene, batch, disturbance=0.0, threads=threads, **stepping) as sim:
         for first in range(0, len(nodes), batch):
             rows = np.arange(first, min(first + batch, len(nodes)))
             mask = np.arange(batch) < len(rows)

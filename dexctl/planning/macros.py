@@ -16,7 +16,7 @@ from dexctl.planning.simulated import Driven, SimulatedExpander
 from dexctl.sim import BatchSimulator
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.landing import Landing, azimuth, landing_at, split, turned
-from dexctl.validation import check_kind, check_numbers, check_whole
+from dexctl.validation import check_kind, check_numbers, check_pair, check_whole
 
 _LONGEST = 4.0  # a macro that is not over by then is given up [s]
 
@@ -72,8 +72,8 @@ class ControllerMacros(Expansion):
         check_whole(self, candidates=1, batch=1)
         check_kind(self, macro=MacroConfig, gait=CoordinatedGaitConfig)
         for name in ("speed", "seconds"):
-            low, high = getattr(self, name)
-            if not (np.isfinite(low) and np.isfinite(high) and low <= high):
+            low, high = check_pair(name, getattr(self, name), "(least, greatest)")
+            if low > high:
                 raise InvalidInput(f"{name} is {(low, high)}; expected (least, greatest)")
         if not 0 < self.seconds[0] <= self.seconds[1] <= _LONGEST:
             raise InvalidInput(f"seconds is {self.seconds}; expected times up to {_LONGEST:g} s")
@@ -170,7 +170,8 @@ class _MacroDrive:
     def __init__(self, config: ControllerMacros, problem: Problem) -> None:
         hand, frame = problem.scene.hand, problem.frame
         self._config, self._problem = config, problem
-        self._macro = Macro(hand, config.macro, axis=frame.axis)
+        period = problem.stepping.control_period
+        self._macro = Macro(hand, config.macro, control_period=period, axis=frame.axis)
         tip = hand.fingertip_positions(problem.root.q[0])
         flat = split(tip - frame.position, frame.axis)[1]
         length = np.linalg.norm(flat, axis=-1, keepdims=True)

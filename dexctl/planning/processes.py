@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import signal
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.context import SpawnContext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
+from dexctl.files import make_parent
+from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expansion
-from dexctl.planning.grow import Progress, grow
+from dexctl.planning.goals import GoalOrientations
+from dexctl.planning.grow import Progress, check_ends, grow
+from dexctl.planning.parts import part_file, part_files
 from dexctl.planning.tree import Tree
 from dexctl.sim import SceneConfig
+from dexctl.validation import check_seed
 
 LOOK = 0.2
 """Between looks at how far the trees are [s]."""
+_ROOM = 4096  # for what a process shows of its tree [bytes]
 
 
 def grow_in_processes(
@@ -50,15 +60,15 @@ def grow_in_processes(
         progress: called several times a second with the sums, and the greatest rotation.
 
     Raises:
-        InvalidInput: as `grow`, or no whole number of processes.
+        InvalidInput: as `grow`, no whole number of processes, or there are files of processes
+            already that no tree has been made of, and they are not to be gone on with.
         SimulationError: a process ended without a tree.
     """
-    target = Path(path)
+    target, seed, share = make_parent(path), check_seed(seed), share_of(nodes, jobs)
     parts = begin_parts(target, jobs, resume)
     context = multiprocessing.get_context("spawn")
-    stop, shown = context.Event(), context.Array("d", numbers_of(None) * jobs)
+    stop, shown = context.Event(), _Shown(context, jobs)
     errors = context.SimpleQueue()
-    share = None if nodes is None else -(-nodes // jobs)
     workers = [
         context.Process(
             target=_work,
@@ -70,12 +80,13 @@ def grow_in_processes(
     ]
     start = time.perf_counter()
     try:
-        for worker in workers:
-            worker.start()
+        with _no_interrupt():
+            for worker in workers:
+                worker.start()
         while any(worker.is_alive() for worker in workers):
             time.sleep(LOOK)
             if progress is not None:
-                progress(summed(np.array(shown).reshape(jobs, -1), start))
+                progress(summed(shown.look(), start))
     except BaseException:
         stop.set()
         raise
@@ -86,17 +97,58 @@ def grow_in_processes(
     return what_grew(tree, grown, jobs, "processes", "" if errors.empty() else errors.get())
 
 
+@contextmanager
+def _no_interrupt() -> Iterator[None]:
+    """What is started in the block never sees Ctrl-C: it is this process that tells it to stop.
+
+    Here it is held back until the block is over; where signals cannot be blocked it is not.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:
-    """The files of ``jobs`` trees that are to become ``target``; old ones go, but to resume.
+    """The files of ``jobs`` trees that are to become ``target``.
+
+    Those that an earlier ``target`` was made of go, but to resume.
 
     Raises:
-        InvalidInput: no whole number above 0.
+        InvalidInput: no whole number above 0, or files that no tree has been made of.
     """
+    _check_jobs(jobs)
+    old = [] if resume else part_files(target)
+    if old and not target.exists():  # of a run that was killed
+        raise InvalidInput(
+            f"{target.parent} has the trees of {len(old)} processes, which are not in "
+            f"{target.name} yet; expected resume=True, which goes on with them, or another path"
+        )
+    for part in old:
+        part.unlink(missing_ok=True)
+    return [part_file(target, i) for i in range(jobs)]
+
+
+def _check_jobs(jobs: int) -> None:
     if not isinstance(jobs, (int, np.integer)) or isinstance(jobs, bool) or jobs < 1:
         raise InvalidInput(f"jobs is {jobs!r}; expected a whole number of processes above 0")
-    for part in () if resume else part_files(target):
-        part.unlink(missing_ok=True)
-    return [_part(target, i) for i in range(jobs)]
+
+
+def share_of(nodes: int | None, jobs: int) -> int | None:
+    """How many nodes each of ``jobs`` trees needs for ``nodes`` together; they share the root.
+
+    Raises:
+        InvalidInput: no whole number of trees above 0, or no number of nodes.
+    """
+    _check_jobs(jobs)
+    if nodes is None:
+        return None
+    check_ends(nodes, None, None, Bounds(), GoalOrientations())
+    return 1 - (1 - nodes) // jobs
 
 
 def grow_part(
@@ -146,28 +198,13 @@ def what_grew(tree: Tree | None, grown: int, jobs: int, those: str, why: str) ->
     return tree
 
 
-def part_files(path: str | Path) -> list[Path]:
-    """The files of the processes that grew the tree ``path``, in their order.
-
-    One that was killed before it had anything to write has none.
-    """
-    target = Path(path)
-    names = (each.name.split(".")[-2] for each in target.parent.glob(f".{target.stem}.*.npz"))
-    last = max((int(name) for name in names if name.isdigit()), default=-1)
-    return [_part(target, i) for i in range(last + 1)]
-
-
-def _part(target: Path, number: int) -> Path:
-    return target.with_name(f".{target.stem}.{number}.npz")
-
-
 def _work(
     scene_config: SceneConfig,
     expansion: Expansion,
     part: Path,
     number: int,
     stop: Any,
-    shown: Any,
+    shown: _Shown,
     errors: Any,
     **arguments: Any,
 ) -> None:
@@ -175,14 +212,12 @@ def _work(
     parent = multiprocessing.parent_process()
 
     def watch(now: Progress) -> bool:
-        numbers = numbers_of(now)
-        first = len(numbers) * number
-        shown[first : first + len(numbers)] = numbers
+        shown.show(number, now)
         # who has killed the parent wants an end
         return stop.is_set() or (parent is not None and not parent.is_alive())
 
     try:
-        if grow_part(scene_config, expansion, part, watch, **arguments):
+        if not stop.is_set() and grow_part(scene_config, expansion, part, watch, **arguments):
             stop.set()
     except KeyboardInterrupt:
         pass  # the tree is in its file
@@ -191,15 +226,40 @@ def _work(
         stop.set()
 
 
-def numbers_of(now: Progress | None) -> list[float]:
-    """What is shown of one tree: nodes, expansions, rotation, physics steps; None: of no tree."""
-    if now is None:
-        return [0.0] * 4
-    return [now.nodes, now.expansions, now.rotation, now.physics_steps]
+def summed(shown: Iterable[Progress | None], start: float) -> Progress:
+    """The progress of all trees, None where there is none yet, since ``start``."""
+    every = [one for one in shown if one is not None]
+    refused = Counter[str]()
+    for one in every:
+        refused.update(one.refused)
+    return Progress(
+        nodes=sum(one.nodes for one in every),
+        expansions=sum(one.expansions for one in every),
+        rotation=max((one.rotation for one in every), default=0.0),
+        seconds=time.perf_counter() - start,
+        refused=dict(refused),
+        physics_steps=sum(one.physics_steps for one in every),
+    )
 
 
-def summed(shown: np.ndarray, start: float) -> Progress:
-    """The progress of all trees, whose `numbers_of` are ``(jobs, 4)``, since ``start``."""
-    nodes, expansions, _, steps = shown.sum(axis=0).astype(int).tolist()
-    rotation = float(shown[:, 2].max())
-    return Progress(nodes, expansions, rotation, time.perf_counter() - start, {}, steps)
+class _Shown:
+    """What processes show of their trees: a text each, in memory that they share."""
+
+    def __init__(self, context: SpawnContext, jobs: int) -> None:
+        self._jobs, self._memory = jobs, context.Array("c", _ROOM * jobs)
+
+    def show(self, number: int, now: Progress) -> None:
+        """Process ``number`` is so far."""
+        text = json.dumps(now).encode()
+        if len(text) >= _ROOM:  # reasons of an expansion that has very many
+            text = json.dumps(now._replace(refused={})).encode()
+        first = _ROOM * number
+        with self._memory.get_lock():
+            self._memory[first : first + _ROOM] = text.ljust(_ROOM, b"\0")
+
+    def look(self) -> list[Progress | None]:
+        """How far each is; None: it has not begun."""
+        with self._memory.get_lock():
+            whole = bytes(self._memory[:])
+        texts = [whole[i * _ROOM : (i + 1) * _ROOM].rstrip(b"\0") for i in range(self._jobs)]
+        return [Progress(*json.loads(text)) if text else None for text in texts]

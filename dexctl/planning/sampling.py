@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
@@ -12,16 +14,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
+from dexctl.files import make_parent
 from dexctl.planning.contacts import ContactModel
+from dexctl.planning.header import TreeHeader
 from dexctl.planning.metric import Metric, Nearest
 from dexctl.planning.nodes import Frame, Nodes, children, put, root_of
+from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.rotations import from_rotation_vector, inverse, multiply, rotate
-from dexctl.sim import BatchSimulator, Scene
+from dexctl.settings import to_plain
+from dexctl.sim import BatchSimulator, Scene, SceneConfig
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Bools, Floats
 from dexctl.switch.landing import split, turned
-from dexctl.validation import check_name, check_numbers, check_whole
+from dexctl.validation import check_name, check_numbers, check_seed, check_whole
 
 PLACES = ("fingertips", "joints")
 _PALM = np.array([0.0, 0.0, 1.0])  # hands are described so that their palm looks along z
@@ -94,6 +100,8 @@ def sample_grasps(
     most_tried: int | None = None,
     seconds: float | None = None,
     threads: int | None = None,
+    scene_config: SceneConfig | None = None,
+    path: str | Path | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> SampledGrasps:
     """Settle random grasps and keep those that hold (thesis chapter 3, Algorithm SGS).
@@ -114,14 +122,21 @@ def sample_grasps(
         most_tried: give up after settling so many; None: a hundred for each that is wanted.
         seconds: give up after this time, with those that were found; None: never.
         threads: of the physics; None: every core.
+        scene_config: what the scene was built from, for the states' ``meta``, which says what the
+            header of a tree does, and for how the physics is stepped; None: not known.
+        path: where the states are written at the end, however that comes: after Ctrl-C those that
+            had been found.
         progress: called with the number of grasps so far.
 
     Raises:
-        InvalidInput: no such number of grasps; or none was found at all.
+        InvalidInput: no such number of grasps or seed, ``path`` cannot be written; or none was
+            found at all.
         SimulationError: the object does not stay in the hand.
     """
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
         raise InvalidInput(f"count is {count!r}; expected a whole number above 0")
+    seed = check_seed(seed, 0)
+    file = None if path is None else make_parent(path)
     config, metric = sampling or GraspSampling(), metric or Metric()
     check = stability or Stability(min_contacts=config.min_contacts)
     root = root_of(scene)
@@ -129,22 +144,46 @@ def sample_grasps(
     draw = _Draws(scene, frame, root, config)
     rng, start = np.random.default_rng(seed), perf_counter()
     most = 100 * count if most_tried is None else most_tried
-    search, found, refused, tried = Nearest(scene.hand.nq + 6), [], Counter[str](), 0
-    with BatchSimulator(scene, config.batch, disturbance=0.0, threads=threads) as sim:
-        ends = np.inf if seconds is None else start + seconds
-        while len(search) < count and tried < most and perf_counter() < ends:
-            placed, reached = draw(rng)
-            kept, why = _settled(sim, placed, reached, frame, config, check)
-            tried += config.batch
-            distinct = _distinct(search, metric.of(frame, kept), config.apart)
-            refused.update(why)
-            refused["distinct"] += len(kept) - len(distinct)
-            found.append(kept.take(distinct))
-            if progress is not None:
-                progress(min(len(search), count))
+    settings = {"sampling": config, "metric": metric, "stability": check}
+    header = TreeHeader.of(
+        scene, frame.axis, "sample_grasps", (),
+        {name: to_plain(value) for name, value in settings.items()}, seed,
+    )  # fmt: skip
+    header.scene = None if scene_config is None else to_plain(scene_config)
+    search, found, refused = Nearest(scene.hand.nq + 6), list[Nodes](), Counter[str]()
+    try:
+        with BatchSimulator(
+            scene, config.batch, disturbance=0.0, threads=threads,
+            **Stepping.of(scene_config)._asdict(),
+        ) as sim:  # fmt: skip
+            ends = np.inf if seconds is None else start + seconds
+            while len(search) < count and header.expansions < most and perf_counter() < ends:
+                placed, reached = draw(rng)
+                kept, why = _settled(sim, placed, reached, frame, config, check)
+                header.expansions += config.batch
+                distinct = _distinct(search, metric.of(frame, kept), config.apart)
+                refused.update(why)
+                refused["distinct"] += len(kept) - len(distinct)
+                found.append(kept.take(distinct))
+                if progress is not None:
+                    progress(min(len(search), count))
+    finally:
+        header.refused, header.seconds = dict(refused), perf_counter() - start
+        if file is not None and any(map(len, found)):
+            _first(found, count, header, scene)[1].save(file)
+    if not any(map(len, found)):
+        raise InvalidInput(
+            f"none of {header.expansions} random grasps of {scene!r} holds: {header.refused}"
+        )
+    nodes, states = _first(found, count, header, scene)
+    return SampledGrasps(nodes, states, header.expansions, header.refused, header.seconds)
+
+
+def _first(
+    found: Sequence[Nodes], count: int, header: TreeHeader, scene: Scene
+) -> tuple[Nodes, GraspStates]:
+    """The first ``count`` of those found, and as states."""
     nodes = Nodes.concatenate(found)
-    if not len(nodes):
-        raise InvalidInput(f"none of {tried} random grasps of {scene!r} holds: {dict(refused)}")
     nodes = nodes.take(np.arange(min(count, len(nodes))))
     states = GraspStates(
         hand=scene.hand.name,
@@ -154,8 +193,9 @@ def sample_grasps(
         object_quaternion=nodes.object_quaternion,
         object=np.full(len(nodes), scene.object),
         joint_names=np.array(scene.hand.joint_names),
+        meta=json.dumps(header.to_plain()),
     )
-    return SampledGrasps(nodes, states, tried, dict(refused), perf_counter() - start)
+    return nodes, states
 
 
 class _Draws:

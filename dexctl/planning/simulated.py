@@ -66,8 +66,9 @@ class SimulatedExpander:
         self.batch, self.action_names = batch, drive.action_names
         self._problem, self._drive, self._candidates, self._lazy = problem, drive, candidates, lazy
         self._sim = BatchSimulator(
-            problem.scene, batch * candidates, disturbance=0.0, threads=problem.threads
-        )
+            problem.scene, batch * candidates, disturbance=0.0, threads=problem.threads,
+            **problem.stepping._asdict(),
+        )  # fmt: skip
 
     def close(self) -> None:
         self._sim.close()

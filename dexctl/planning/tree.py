@@ -16,10 +16,11 @@ from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.files import aside
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.nodes import NODE_FIELDS, Frame, Nodes
+from dexctl.planning.parts import part_files
 from dexctl.rotations import angle_between
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Floats
-from dexctl.validation import shown_numbers, unit_quaternions
+from dexctl.validation import numbers, shown, shown_numbers, unit_quaternions
 
 if TYPE_CHECKING:
     import networkx
@@ -131,10 +132,14 @@ class Tree:
         return Frame.of(self.header.axis, root)
 
     def states(self, index: ArrayLike | None = None) -> GraspStates:
-        """Nodes as grasp states, at rest, with parents: all of them, or those of ``index``."""
+        """Nodes as grasp states, at rest, with parents: all of them, or those of ``index``.
+
+        Raises:
+            InvalidInput: ``index`` has neither numbers of nodes nor a mask of them, or none.
+        """
         header, nodes = self.header, self.nodes
-        if index is not None and not np.size(index):
-            raise InvalidInput("no nodes are chosen; expected at least one")
+        if index is not None:
+            index = self._chosen(index)
         states = GraspStates(
             hand=header.hand,
             q=nodes.q.copy(),
@@ -148,10 +153,37 @@ class Tree:
         )
         return states if index is None else states.take(index)
 
+    def _chosen(self, index: ArrayLike) -> Indices | NDArray[np.bool_]:
+        """``index``, which has numbers of nodes, those from the end negative, or is a mask."""
+        count = len(self)
+        try:
+            found = np.asarray(index)
+        except ValueError:  # rows of several lengths
+            found = np.empty(0, object)
+        if not found.size and found.dtype != object:
+            raise InvalidInput("no nodes are chosen; expected at least one")
+        if found.dtype == bool:
+            good = found.shape == (count,)
+            if good and not found.any():
+                raise InvalidInput("no nodes are chosen; expected at least one")
+        else:
+            good = found.dtype.kind in "iu" and bool(((found >= -count) & (found < count)).all())
+        if not good:
+            raise InvalidInput(
+                f"index is {shown(index)}; expected numbers of nodes, 0 to {count - 1}, or a mask "
+                f"of shape ({count},)"
+            )
+        return np.atleast_1d(found)
+
     def path_to(self, node: int) -> Indices:
-        """The nodes from the root to ``node``."""
-        if not 0 <= node < len(self):
-            raise InvalidInput(f"node is {node}; expected 0 to {len(self) - 1}")
+        """The nodes from the root to ``node``.
+
+        Raises:
+            InvalidInput: no such node.
+        """
+        whole = isinstance(node, (int, np.integer)) and not isinstance(node, bool)
+        if not (whole and 0 <= node < len(self)):
+            raise InvalidInput(f"node is {shown(node)}; expected 0 to {len(self) - 1}")
         found, parent = [int(node)], self.parent
         while parent[found[-1]] >= 0:
             found.append(int(parent[found[-1]]))
@@ -208,7 +240,11 @@ class Tree:
 
     def _rotation_left(self, n: int, goal: ArrayLike | None) -> Iterator[Floats]:
         """How far each node is from each of n rotations, or from the greatest."""
-        goals = np.broadcast_to(np.inf if goal is None else np.asarray(goal, float), (n,))
+        wanted = f"a rotation in radians, or {n} of them"
+        given = numbers("goal", np.inf if goal is None else goal, wanted)
+        if given.shape not in ((), (n,)):
+            raise InvalidInput(f"goal has shape {given.shape}; expected {wanted}")
+        goals = np.broadcast_to(given, (n,))
         least, most = float(self.rotation.min()), float(self.rotation.max())
         beyond = np.isnan(goals) | (
             np.isfinite(goals) & ((goals > most + _BEYOND) | (goals < least - _BEYOND))
@@ -278,6 +314,12 @@ class Tree:
         path = Path(path).expanduser()
         path = path / TREE if path.is_dir() else path
         what = f"tree {str(path)!r}"
+        parts = [] if path.exists() else part_files(path)
+        if parts:
+            raise InvalidInput(
+                f"{what} is not there yet: {path.parent} has the trees of {len(parts)} processes; "
+                "the `dexctl plan` that grew them makes one of them with --resume"
+            )
         try:
             with np.load(path, allow_pickle=False) as stored:
                 values = {name: stored[name] for name in stored.files}

@@ -7,6 +7,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from dexctl.exceptions import InvalidInput
 from dexctl.planning import (
     ControllerMacros,
     Expansion,
@@ -77,7 +78,7 @@ class PlannedStarts(Starts):
         else:
             start = perf_counter()
             scenes = [group.scene for group in simulation.sim.groups]
-            states = GraspStates.concatenate([self._made(scene) for scene in scenes])
+            states = GraspStates.concatenate([self._made(scene, remark) for scene in scenes])
             states.save(path)
             remark(
                 f"{len(states)} {self._config.start_from} to start from in {path}, made in "
@@ -85,7 +86,21 @@ class PlannedStarts(Starts):
             )
         simulation.start_from(states)
 
-    def _made(self, scene: Scene) -> GraspStates:
+    def _made(self, scene: Scene, remark: Remark) -> GraspStates:
+        """Those of one object; what was found of what is wanted is remarked on."""
+        states, of = self._found(scene)
+        wanted = self._config.start_count
+        said = f"{scene.object}: {len(states)} of {wanted} {self._config.start_from} wanted{of}"
+        if len(states) == 1 < wanted:  # every episode would begin alike, as from fixed
+            raise InvalidInput(
+                f"{said}; expected several: more --start-seconds, another --tree-expand or "
+                "--start-from"
+            )
+        remark(said)
+        return states
+
+    def _found(self, scene: Scene) -> tuple[GraspStates, str]:
+        """The states, and what they are of."""
         config, threads = self._config, self.env.config.scene.threads
         options: dict[str, Any] = {
             "axis": self.env.config.task.direction, "seed": self._seed, "threads": threads,
@@ -94,11 +109,13 @@ class PlannedStarts(Starts):
             found = sample_grasps(
                 scene, config.start_count, seconds=config.start_seconds, **options
             )
-            return found.states
+            return found.states, f", {found.tried} tried"
         expansion = _EXPANSIONS[config.tree_expand]()
         tree = grow(
             scene, expansion, nodes=config.tree_nodes, seconds=config.start_seconds, **options
         )
         # those of simulated trees have been held already
         unseen = None if tree.header.physics_steps else scene
-        return path_states(tree, config.start_count, scene=unseen, threads=threads)
+        states = path_states(tree, config.start_count, scene=unseen, threads=threads)
+        turned = float(tree.rotation.max())
+        return states, f", of a tree of {len(tree)} nodes that turns it by {turned:.2f} rad"

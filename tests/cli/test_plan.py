@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dexctl.cli import main
-from dexctl.planning import Tree, grow
+from dexctl.planning import Tree, grow, sample_grasps
 from dexctl.sim import GraspStates, SceneConfig, Simulation
 
 SMALL = ["--expand", "random", "--random.batch", "8", "--object", "cylinder", "--threads", "1"]
@@ -52,6 +57,24 @@ def test_it_is_resumed_and_not_written_over(
     assert len(Tree.load(out / "tree.npz")) >= 20
 
 
+def test_what_killed_processes_left_is_not_deleted(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = [tmp_path / f".tree.{i}.npz" for i in range(2)]
+    for part in parts:
+        part.write_bytes((folder / "tree.npz").read_bytes())
+    line = ["plan", *SMALL, "--nodes", "12", "--out", str(tmp_path)]
+    assert main(line) == 2
+    assert "has the trees of 2 processes of a run that was killed; expected --resume" in (
+        capsys.readouterr().err
+    )
+    assert main(["plan", "states", str(tmp_path)]) == 2
+    assert "makes one of them with --resume" in capsys.readouterr().err
+    assert all(part.exists() for part in parts)
+    assert main([*line, "--resume"]) == 0
+    assert len(Tree.load(tmp_path)) >= 12
+
+
 def test_ctrl_c_leaves_a_tree_that_loads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -66,6 +89,31 @@ def test_ctrl_c_leaves_a_tree_that_loads(
     assert main(["plan", *SMALL, "--nodes", "500", "--out", str(tmp_path)]) == 130
     assert "with --resume goes on" in capsys.readouterr().err
     assert len(Tree.load(tmp_path / "tree.npz")) > 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked")
+def test_ctrl_c_in_the_first_seconds_is_one_line(tmp_path: Path) -> None:
+    """Sent to all processes at once, as a terminal does, while the children begin."""
+    words = [*SMALL[:-2], "--seconds", "600", "--jobs", "2", "--out", str(tmp_path)]
+    program = "import sys; from dexctl.cli import main; sys.exit(main(sys.argv[1:]))"
+    with subprocess.Popen(
+        [sys.executable, "-c", program, "plan", *words],
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    ) as run:  # fmt: skip
+        children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
+        if not children.exists():
+            run.kill()
+            pytest.skip("this system does not say which children there are")
+        while run.poll() is None and len(children.read_text().split()) < 3:
+            time.sleep(0.02)  # the two, and multiprocessing's own
+        os.killpg(run.pid, signal.SIGINT)
+        said = run.communicate(timeout=100)[1]
+    assert run.returncode == 130 and "Traceback" not in said
+    last = said.strip().splitlines()[-1]
+    if (tmp_path / "tree.npz").exists():
+        assert "with --resume goes on" in last and len(Tree.load(tmp_path)) >= 1
+    else:
+        assert last == "dexctl: interrupted before there was a tree"
 
 
 def test_a_tree_without_physics_is_checked_in_simulation(
@@ -99,6 +147,27 @@ def test_goals_are_reached_or_it_says_which_is_not(
     assert why in " ".join(capsys.readouterr().err.split())
 
 
+def test_what_is_not_reached_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["plan", "--expand", "kinematic", "--kinematic.batch", "32", "--threads", "1"]
+    words += ["--object", "cylinder"]
+    for i, (more, code, why) in enumerate((
+        (["--nodes", "40", "--until-rotation", "6"], 1, "--until-rotation 6.00 is not"),
+        (["--nodes", "500000", "--seconds", "0.2"], 1, "--nodes 500000 is not reached: there are"),
+        (["--nodes", "500000", "--until-rotation", "0.1"], 0, "written"),
+        (["--seconds", "0.2"], 0, "written"),
+    )):  # fmt: skip
+        assert main([*words, *more, "--out", str(tmp_path / str(i))]) == code
+        assert why in capsys.readouterr().err
+    words[-1], out = "dodecahedron", tmp_path / "stone"
+    assert main([*words, "--seconds", "0.2", "--out", str(out)]) == 1
+    said = capsys.readouterr()
+    assert "no grasp of the dodecahedron was reached" in said.err and "100 %" not in said.out
+    out = tmp_path / "again"
+    assert main([*words, "--nodes", "600", "--out", str(out)]) == 2
+    assert "no grasp of the dodecahedron was reached" in capsys.readouterr().err
+    assert len(Tree.load(out)) == 1
+
+
 def test_episodes_start_from_a_tree(folder: Path) -> None:
     tree = Tree.load(folder / "tree.npz")
     config = SceneConfig(
@@ -117,13 +186,35 @@ def test_what_plan_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--object", "cube", "sphere"], "this command takes one object"),
         (["--nodes", "-1"], "nodes is -1; expected a number above 0"),
         (["--until-rotation", "30"], "until_rotation is 30"),
-        (["--resume"], "cannot be read"),
+        (["--resume"], "has no tree to go on with; expected"),
         (["--expand", "followed", "--followed.tree", "no.npz", "--jobs", "2"], "no.npz' cannot be"),
     ):
         assert main(["plan", *words, "--out", str(tmp_path)]) == 2
         assert why in capsys.readouterr().err
     assert main(["plan", "film"]) == 2
     assert "unknown dexctl plan command 'film'; known: show" in capsys.readouterr().err
+
+
+def test_settings_that_planning_does_not_use_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "none"
+    for command in (["plan"], ["plan", "sample"]):
+        for option, value, usual in (
+            ("--initial-states", "no.npz", "None"),
+            ("--joint-noise", "0.01", "0.0"),
+            ("--disturbance", "0.5", "0.02"),
+            ("--sensor-latency", "0.1", "0.0"),
+            ("--push-force", "1.0", "0.0"),
+            ("--torque-limit", "0.5", "None"),
+            ("--mass-range", "0.1,0.2", "None"),
+            ("--touch", "binary", "full"),
+        ):
+            assert main([*command, option, value, "--out", str(out)]) == 2
+            said = capsys.readouterr().err
+            assert f"{option} is" in said and said.count("\n") == 1
+            assert f"planning does not use it, expected its default, {usual}" in said
+    assert not out.exists()
 
 
 def test_show_draws_the_tree_and_films_its_path(
@@ -139,6 +230,26 @@ def test_show_draws_the_tree_and_films_its_path(
     assert found["path"] == tree.paths(1)[0].tolist()
     assert (tmp_path / "tree.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "path.mp4").stat().st_size > 2000
+
+
+def test_ctrl_c_keeps_sampled_grasps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*arguments, progress, **keywords):
+        def stop(now):
+            progress(now)
+            if now:
+                raise KeyboardInterrupt
+
+        return sample_grasps(*arguments, progress=stop, **keywords)
+
+    monkeypatch.setattr("dexctl.cli.plan_states.sample_grasps", interrupted)
+    words = ["--object", "cylinder", "--sampling.batch", "32", "--threads", "1"]
+    path = tmp_path / "grasps.npz"
+    assert main(["plan", "sample", *words, "--count", "99", "--out", str(path)]) == 130
+    states = GraspStates.load(path)
+    assert f"interrupted; {len(states)} of 99 grasps are in {path}" in capsys.readouterr().err
+    assert json.loads(states.meta)["scene"]["object"] == ["cylinder"]
 
 
 def test_starts_from_a_tree_and_from_samples(

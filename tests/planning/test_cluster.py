@@ -12,7 +12,7 @@ from dexctl.cluster import ClusterError
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_on_cluster
 from dexctl.planning.cluster import Board
-from dexctl.planning.processes import part_files
+from dexctl.planning.parts import part_files
 from dexctl.sim import SceneConfig
 
 
@@ -44,12 +44,12 @@ def test_tasks_grow_what_each_would_have_grown_and_are_resumed(
         config, expansion, address, 2, path=path, nodes=8, seed=5, progress=seen.append
     )
     (scene,) = config.scenes()
-    alone = [grow(scene, expansion, nodes=4, seed=5 + i, threads=1) for i in range(2)]
+    alone = [grow(scene, expansion, nodes=5, seed=5 + i, threads=1) for i in range(2)]
     np.testing.assert_array_equal(first.rotation, Tree.merge(alone).rotation)
     assert seen and len(Tree.load(path)) == len(first)
     assert [part.name for part in part_files(path)] == [".tree.0.npz", ".tree.1.npz"]
     more = grow_on_cluster(config, expansion, address, path=path, nodes=16, seed=5, resume=True)
-    whole = [grow(scene, expansion, nodes=8, seed=5 + i, threads=1) for i in range(2)]
+    whole = [grow(scene, expansion, nodes=9, seed=5 + i, threads=1) for i in range(2)]
     np.testing.assert_array_equal(more.rotation, Tree.merge(whole).rotation)
     with pytest.raises(InvalidInput, match="the tree is of the gravity"):
         grow_on_cluster(
@@ -67,10 +67,10 @@ def test_no_cluster(tmp_path: Path) -> None:
 
 
 def test_the_board_hands_each_tree_on_once() -> None:
-    board = Board(2)
-    assert not board.tell(1, [3, 4, 0.5, 6], b"tree")
+    board, now = Board(2), Progress(3, 4, 0.5, 1.0, {"bounds": 2}, 6)
+    assert not board.tell(1, now, b"tree")
     shown, files = board.look()
-    assert shown.tolist() == [[0, 0, 0, 0], [3, 4, 0.5, 6]] and files == {1: b"tree"}
+    assert shown == [None, now] and files == {1: b"tree"}
     assert not board.look()[1]
     board.stop()
-    assert board.tell(0, [1, 1, 0, 0], None)
+    assert board.tell(0, None, None)

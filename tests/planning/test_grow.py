@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,15 +15,25 @@ from dexctl.planning import (
     Bounds,
     ControllerMacros,
     Expansion,
+    FollowedEdges,
+    GoalOrientations,
+    GraspSampling,
+    Metric,
     Nodes,
     Progress,
     RandomActions,
     Stability,
     Tree,
     grow,
+    holding,
+    sample_grasps,
 )
 from dexctl.planning.nodes import put
-from dexctl.sim import BatchSimulator, Scene, rotation_about
+from dexctl.settings import to_plain
+from dexctl.sim import BatchSimulator, Scene, SceneConfig, rotation_about
+from dexctl.sim.sensing import Sensing
+
+NOISY = Sensing(joint_noise=0.01)  # as the scene of a policy may have
 
 
 def same(a: Tree, b: Tree) -> None:
@@ -110,6 +121,96 @@ def test_a_tree_that_is_interrupted_is_whole(cylinder: Scene, tmp_path: Path) ->
     assert len(Tree.load(path)) > 1
 
 
+def test_the_root_is_written_before_anything_else(cylinder: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "made" / "tree.npz"
+
+    class Killed(RandomActions):
+        def open(self, problem):
+            made = super().open(problem)
+
+            class Stops:
+                batch, action_names, close = made.batch, made.action_names, made.close
+
+                def __call__(self, *_):
+                    assert len(Tree.load(path)) == 1
+                    raise KeyboardInterrupt
+
+            return Stops()
+
+    with pytest.raises(KeyboardInterrupt):
+        grow(cylinder, Killed(batch=2), nodes=5, path=path, threads=1)
+    assert len(Tree.load(path)) == 1
+    (tmp_path / "file").touch()
+    for wrong in (tmp_path / "file" / "tree.npz", tmp_path):
+        with pytest.raises(InvalidInput, match="path is .*; cannot write there"):
+            grow(cylinder, Killed(), nodes=5, path=wrong)
+
+
+def test_the_physics_is_stepped_as_the_scene_says(cylinder: Scene, tmp_path: Path) -> None:
+    config = SceneConfig(object=("cylinder",), control_period=0.02, substeps=5, sensing=NOISY)
+    path = tmp_path / "tree.npz"
+    options: dict[str, Any] = {"seed": 1, "threads": 1, "path": path}
+    tree = grow(cylinder, RandomActions(batch=2), nodes=2, scene_config=config, **options)
+    assert tree.header.physics_steps % 5 == 0 and tree.header.physics_steps % 10
+    more = grow(cylinder, RandomActions(batch=2), nodes=4, tree=Tree.load(path), **options)
+    other = grow(cylinder, RandomActions(batch=2), nodes=4, scene_config=config, **options)
+    same(more, other)
+    macros = ControllerMacros(batch=2)
+    tree = grow(cylinder, macros, nodes=2, scene_config=config, **options)
+    seconds = tree.action[1:, tree.header.action_names.index("seconds")]
+    np.testing.assert_allclose(seconds / 0.02, np.round(seconds / 0.02), atol=1e-6)
+    seen = []
+
+    class Looked(BatchSimulator):
+        def __init__(self, *arguments, **keywords):
+            super().__init__(*arguments, **keywords)
+            seen.append((self.control_period, self.substeps))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules["dexctl.planning.holding"], "BatchSimulator", Looked)
+        patch.setattr("dexctl.planning.sampling.BatchSimulator", Looked)
+        holding(cylinder, tree, threads=1, batch=2)
+        sampling = GraspSampling(batch=16)
+        sample_grasps(cylinder, 1, sampling, scene_config=config, threads=1)
+    assert seen == [(0.02, 5)] * 2
+
+
+def test_a_tree_goes_on_and_merges_with_the_same_settings_only(
+    cylinder: Scene, small: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for changes, why in (
+        ({"expansion": RandomActions(batch=2)}, r"expansion\.batch 8, not 2"),
+        ({"expansion": ControllerMacros()}, "of the expansion 'RandomActions'; expected 'Contr"),
+        ({"metric": Metric(tilt=2.0)}, r"metric\.tilt 1\.0, not 2\.0"),
+        ({"bounds": Bounds(tilt=0.6)}, r"bounds\.tilt 0\.4, not 0\.6"),
+        ({"stability": Stability(seconds=1.0)}, r"stability\.seconds 0\.5, not 1\.0"),
+        (
+            {"goals": GoalOrientations(orientations=((1, 0, 0, 0),))},
+            r"goals\.orientations \(\), not",
+        ),
+    ):
+        settings: dict[str, Any] = {"expansion": RandomActions(batch=8), **changes}
+        with pytest.raises(InvalidInput, match=why):
+            grow(cylinder, nodes=99, tree=small, threads=1, **settings)
+    # a setting that there was not yet has its default, and files are what they were
+    header, config = replace(small.header), SceneConfig(object=("cylinder",))
+    header.settings = {**header.settings, "metric": {}}
+    edges = FollowedEdges(tree=tmp_path / "a" / "tree.npz")
+    header.settings["edges"] = to_plain(edges)
+    (tmp_path / "a").mkdir()
+    monkeypatch.chdir(tmp_path / "a")
+    header.check_settings({"metric": Metric(), "edges": FollowedEdges(tree=Path("tree.npz"))})
+    # physics that both know
+    one, other = Tree(header, small.nodes.take([0])), Tree(small.header, small.nodes.take([0]))
+    one.header.scene = to_plain(config)
+    assert len(Tree.merge([one, other])) == 1
+    other.header = replace(header, scene=to_plain(replace(config, object_friction=0.5)))
+    with pytest.raises(InvalidInput, match="the tree is of the object_friction 0.5; expected None"):
+        Tree.merge([one, other])
+    with pytest.raises(InvalidInput, match="the tree is of the object_friction 0.5; expected None"):
+        grow(cylinder, RandomActions(batch=8), nodes=99, tree=other, scene_config=config)
+
+
 def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
     class Never(Expansion):
         def open(self, problem):
@@ -121,18 +222,31 @@ def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
         ({"nodes": 0}, "nodes is 0; expected a number above 0"),
         ({"until_rotation": 9.0}, "until_rotation is 9; targets go up to 7 rad"),
         ({"nodes": 5, "axis": (0, 0, 0)}, "axis"),
+        ({"nodes": "many"}, "nodes is 'many'; expected a number above 0"),
+        ({"nodes": 5, "seed": "a"}, "seed is 'a'; expected a whole number"),
+        ({"goals": [(1, 0, 0, 0)]}, r"goals is \[.*; expected of class GoalOrientations"),
+        ({"nodes": 5, "metric": 3}, "metric is 3; expected of class Metric"),
     ):
         with pytest.raises(InvalidInput, match=why):
             grow(cylinder, Never(), **wrong)
+    named: Any = "kinematic"
+    with pytest.raises(InvalidInput, match="expansion is 'kinematic'; expected of class Expansion"):
+        grow(cylinder, named, nodes=5)
     down = Scene.build("dex5", "cylinder", "down")
     with pytest.raises(InvalidInput, match="the tree is of the gravity"):
         grow(down, RandomActions(batch=2), nodes=30, tree=small, threads=1)
+    pair: Any = 3
+    one: Any = (0,)
     for make, why in (
         (lambda: RandomActions(actions=0), "actions is 0"),
         (lambda: RandomActions(scale=-1), "scale is -1"),
         (lambda: ControllerMacros(still=0.8, guided=0.4), "add up to 1"),
         (lambda: ControllerMacros(seconds=(1.0, 9.0)), "seconds is"),
         (lambda: ControllerMacros(speed=(1.0, 0.0)), "speed is"),
+        (lambda: ControllerMacros(speed=pair), r"speed is 3; expected \(least, greatest\)"),
+        (lambda: Bounds(rotation=pair), r"rotation is 3; expected \(least <= 0, greatest > 0\)"),
+        (lambda: Bounds(rotation=one), r"rotation is \(0,\); expected \(least"),
+        (lambda: Bounds(rotation=(1.0, 2.0)), r"rotation is \(1\.0, 2\.0\); expected"),
     ):
         with pytest.raises(InvalidInput, match=why):
             make()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -97,6 +99,19 @@ def test_a_finger_that_is_moved_turns_it_further(l_shape: Scene) -> None:
     tree = grow(l_shape, Kinematic(), nodes=3000, until_rotation=3.0, seed=1)
     assert tree.rotation.max() > 2.5
     assert tree.header.physics_steps == 0
+
+
+def test_a_batch_may_be_refused_as_a_whole(l_shape: Scene) -> None:
+    tree = grow(l_shape, Kinematic(batch=1), nodes=10, seed=0)
+    assert len(tree) == 10 and tree.header.expansions > 12
+
+
+def test_a_root_that_nothing_leads_away_from_is_given_up(tmp_path: Path) -> None:
+    stone, path = Scene.build("dex5", "dodecahedron", "up"), tmp_path / "tree.npz"
+    why = "no grasp of the dodecahedron was reached .* in 3072 expansions, refused most for closure"
+    with pytest.raises(InvalidInput, match=why):
+        grow(stone, Kinematic(), nodes=600, seed=0, path=path)
+    assert len(Tree.load(path)) == 1
 
 
 def test_about_x_more_may_be_left_to_friction() -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from pathlib import Path
+from time import perf_counter
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_in_processes
-from dexctl.planning.processes import part_files
+from dexctl.planning.parts import part_files
+from dexctl.planning.processes import _Shown, summed
 from dexctl.sim import Scene, SceneConfig
 
 
@@ -18,12 +22,15 @@ def test_two_processes_grow_what_each_would_have_grown(tmp_path: Path) -> None:
     expansion, seen = RandomActions(batch=4), list[Progress]()
     tree = grow_in_processes(config, expansion, 2, path=path, nodes=8, seed=5, progress=seen.append)
     (scene,) = config.scenes()
-    alone = [grow(scene, expansion, nodes=4, seed=5 + i, threads=1) for i in range(2)]
-    assert len(tree) == sum(map(len, alone)) - 1 == len(Tree.load(path))
+    alone = [grow(scene, expansion, nodes=5, seed=5 + i, threads=1) for i in range(2)]
+    assert 8 <= len(tree) == sum(map(len, alone)) - 1 == len(Tree.load(path))
     np.testing.assert_array_equal(tree.rotation, Tree.merge(alone).rotation)
     assert tree.header.expansions == sum(one.header.expansions for one in alone)
     assert (np.sort(tree.expansion)[-1]) <= 2 * tree.header.expansions
-    assert seen
+    # looked at from time to time: the last look may be before the end
+    assert seen and seen[-1].expansions
+    assert sum(seen[-1].refused.values()) and set(seen[-1].refused) <= set(tree.header.refused)
+    assert all(count <= tree.header.refused[why] for why, count in seen[-1].refused.items())
     assert set(tmp_path.iterdir()) == {path, *part_files(path)}
 
 
@@ -36,13 +43,17 @@ def test_what_was_killed_is_gone_on_with(tmp_path: Path) -> None:
     parts = part_files(path)
     assert [part.name for part in parts] == [".tree.0.npz", ".tree.1.npz"]
     kept = Tree.load(parts[1])
+    with pytest.raises(InvalidInput, match="has the trees of 2 processes, which are not in tree"):
+        grow_in_processes(config, expansion, 2, path=path, nodes=8, seed=5)
     parts[0].unlink()
     assert part_files(path) == parts
+    with pytest.raises(InvalidInput, match=r"is not there yet: .* of 2 processes; .* --resume"):
+        Tree.load(tmp_path)
     tree = grow_in_processes(config, expansion, 2, path=path, nodes=16, seed=5, resume=True)
     assert len(tree) >= 16 > len(first)
     again = Tree.load(parts[1])
     np.testing.assert_array_equal(again.nodes.q[: len(kept)], kept.nodes.q)
-    whole = [grow(config.scenes()[0], expansion, nodes=8, seed=5 + i, threads=1) for i in range(2)]
+    whole = [grow(config.scenes()[0], expansion, nodes=9, seed=5 + i, threads=1) for i in range(2)]
     np.testing.assert_array_equal(tree.rotation, Tree.merge(whole).rotation)
     other = SceneConfig(object=("cylinder",), gravity="down")
     with pytest.raises(InvalidInput, match="the tree is of the gravity"):
@@ -54,8 +65,22 @@ def test_what_goes_wrong_in_a_process_is_said(tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match="without a tree: grow is told no end"):
         grow_in_processes(config, RandomActions(), 1, path=tmp_path / "tree.npz")
     with pytest.raises(InvalidInput, match="jobs is 0; expected a whole number of processes"):
-        grow_in_processes(config, RandomActions(), 0, path=tmp_path / "tree.npz")
+        grow_in_processes(config, RandomActions(), 0, path=tmp_path / "tree.npz", nodes=3)
+    many: Any = "many"
+    with pytest.raises(InvalidInput, match="nodes is 'many'; expected a number above 0"):
+        grow_in_processes(config, RandomActions(), 2, path=tmp_path / "tree.npz", nodes=many)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_processes_show_is_summed() -> None:
+    shown = _Shown(multiprocessing.get_context("spawn"), 3)
+    shown.show(0, Progress(5, 8, 0.5, 1.0, {"bounds": 2, "contacts": 1}, 60))
+    shown.show(2, Progress(3, 4, 0.7, 2.0, {"bounds": 3}, 40))
+    found = summed(shown.look(), perf_counter())
+    assert found._replace(seconds=0.0) == (8, 12, 0.7, 0.0, {"bounds": 5, "contacts": 1}, 100)
+    shown.show(0, Progress(6, 9, 0.5, 1.0, {str(why): why for why in range(999)}, 60))
+    assert summed(shown.look(), 0.0).refused == {"bounds": 3}
+    assert summed([None], 0.0).nodes == 0
 
 
 def test_growing_stops_where_progress_says_so(cylinder: Scene) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,31 @@ def test_states_are_a_file_that_episodes_start_from(sampled: SampledGrasps, tmp_
     assert len(GraspStates.load(tmp_path / "grasps.npz")) == 40
 
 
+def test_they_say_what_they_are_of(l_shape: Scene, sampled: SampledGrasps) -> None:
+    meta = json.loads(sampled.states.meta)
+    assert (meta["hand"], meta["object"], meta["seed"]) == ("dex5", "l_shape", 0)
+    assert meta["gravity"] == l_shape.gravity.tolist() and set(meta["versions"]) >= {"dexctl"}
+    assert meta["settings"]["sampling"]["batch"] == 64 and meta["scene"] is None
+    assert meta["expansions"] == sampled.tried and meta["refused"] == sampled.refused
+
+
+def test_what_was_found_before_ctrl_c_is_kept(l_shape: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "made" / "grasps.npz"
+
+    def stop(now: int) -> None:
+        if now:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sample_grasps(l_shape, 99, GraspSampling(batch=64), threads=1, path=path, progress=stop)
+    assert 0 < len(GraspStates.load(path)) < 99
+
+
 def test_what_sampling_refuses(l_shape: Scene) -> None:
+    with pytest.raises(InvalidInput, match="path is '/dev/null/a'; cannot write there"):
+        sample_grasps(l_shape, 5, path="/dev/null/a")
+    with pytest.raises(InvalidInput, match="seed is -1; expected a whole number from 0 on"):
+        sample_grasps(l_shape, 5, seed=-1)
     with pytest.raises(InvalidInput, match="count is 0; expected a whole number"):
         sample_grasps(l_shape, 0)
     with pytest.raises(UnknownName, match="unknown place 'elbows'; known: fingertips, joints"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,6 +79,19 @@ def test_paths_to_goals() -> None:
         tree.paths(0)
     with pytest.raises(InvalidInput, match="node is 7; expected 0 to 6"):
         tree.path_to(7)
+    ask: Any = tree
+    for call, why in (
+        (lambda: ask.paths(2, [0.1, 0.2, 0.3]), r"goal has shape \(3,\); expected a rotation in"),
+        (lambda: ask.paths(3, "x"), "goal is not an array of numbers: 'x'; expected a rotation"),
+        (lambda: ask.path_to("a"), "node is 'a'; expected 0 to 6"),
+        (lambda: ask.states(10**9), "index is 1000000000; expected numbers of nodes, 0 to 6, or"),
+        (lambda: ask.states([0.5]), r"index is \[0\.5\]; expected numbers of nodes"),
+        (lambda: ask.states([True, False]), "index is .* a mask of shape"),
+        (lambda: ask.states(np.zeros(7, bool)), "no nodes are chosen"),
+    ):
+        with pytest.raises(InvalidInput, match=why):
+            call()
+    assert len(tree.states(3)) == len(tree.states(np.arange(7) == 2)) == len(tree.states([-1])) == 1
     with pytest.raises(InvalidInput, match="parents are"):
         tree.append(nodes([0.3]), [9], [[0.0, 0.0]], [9])
 

@@ -8,6 +8,8 @@ from functools import cache
 from pathlib import Path
 from statistics import median
 
+from dexctl.cli.commands import commands
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("dexctl", "learning", "hardware")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
@@ -67,6 +69,7 @@ DOORS = {
     # a peer that tests and benchmarks compare with
     "stable_baselines3": [],
     "ray": ["dexctl/cluster.py"],
+    "networkx": ["dexctl/planning/tree.py"],
     "dynamixel_sdk": ["hardware/"],
     "serial": ["hardware/"],
 }
@@ -138,6 +141,25 @@ def test_engines_come_in_through_their_doors() -> None:
 def test_the_doors_are_there() -> None:
     doors = [door for doors in DOORS.values() for door in doors]
     assert [door for door in doors if not (ROOT / door).exists()] == []
+
+
+def test_the_page_names_the_doors_and_the_commands() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    rows = [line for line in page.splitlines() if line.startswith("| ")]
+    wrong = []
+    for engine, doors in DOORS.items():
+        own = [row for row in rows if engine.replace("_", "-") in row.split("|")[1].lower()]
+        shown = "".join(own)
+        wrong += [
+            f"{engine} comes in through {door}"
+            for door in doors
+            if f"`{door.removeprefix('dexctl/')}`" not in shown
+        ]
+    (line,) = (
+        line for line in page.splitlines() if "cli/  " in line and "`dexctl` command:" in line
+    )
+    known = [entry for entry in commands().values() if entry.target.startswith("dexctl.cli.")]
+    none([*wrong, *(f"dexctl {entry.name}" for entry in known if entry.name not in line)])
 
 
 def test_environments_know_nothing_of_who_learns_in_them() -> None:

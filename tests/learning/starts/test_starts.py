@@ -56,18 +56,36 @@ def test_paths_and_grasps_are_planned_once(tmp_path: Path, said: list[str]) -> N
     assert 30 <= len(states) <= 80
     assert states.weight is not None and states.parent is not None
     assert json.loads(states.meta)["tree"]["seed"] == 3
-    assert f"{len(states)} paths to start from in {path}" in said[0]
+    assert said[0].startswith(f"cylinder: {len(states)} of 40 paths wanted, of a tree of ")
+    assert said[0].endswith(" rad") and len(said) == 2
+    assert f"{len(states)} paths to start from in {path}" in said[1]
     made.reset()
     for q in made.state.q:
         assert np.abs(states.q - q).max(axis=1).min() < 1e-12
     again = env(4)
     make_starts(config, again, 4).begin(path, said.append)  # as it is after a kill
-    assert len(said) == 1
+    assert len(said) == 2
     assert again.simulation.starts is not None
     np.testing.assert_array_equal(again.simulation.starts.q, states.q)
     grasps = replace(config, start_from="grasps", start_count=5)
     make_starts(grasps, env(4), 0).begin(tmp_path / "grasps.npz", said.append)
     assert len(GraspStates.load(tmp_path / "grasps.npz")) == 5
+
+
+def test_a_single_state_is_refused(tmp_path: Path, said: list[str]) -> None:
+    for seconds, why in (
+        (
+            0.05,
+            "dodecahedron: 1 of 40 paths wanted, of a tree of 1 nodes that turns it by 0.00 rad",
+        ),
+        (20.0, "no grasp of the dodecahedron was reached from the settled one in 3072 expansions"),
+    ):
+        config = StartsConfig(start_from="paths", start_count=40, start_seconds=seconds)
+        with pytest.raises(InvalidInput, match=why):
+            make_starts(config, env(4, object=("dodecahedron",)), 0).begin(
+                tmp_path / "none.npz", said.append
+            )
+    assert not (tmp_path / "none.npz").exists() and not said
 
 
 def test_explored_states_are_those_of_the_training(tmp_path: Path, said: list[str]) -> None:
