@@ -41,7 +41,7 @@ class Add:
     out: Path | None = None
     """The toml; none: named after the file, in the current folder."""
     fingertips: tuple[str, ...] = ()
-    """Bodies or links that are the fingertips, in the order of the fingers; none: found."""
+    """Bodies, links or sites that are the fingertips, in the order of the fingers; none: found."""
     base: str | None = None
     """Only what hangs on this body; for files of several hands, or of a hand on an arm."""
     object: str | None = None
