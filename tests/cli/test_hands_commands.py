@@ -91,3 +91,15 @@ def test_the_list_still_has_its_own_command(capsys: pytest.CaptureFixture[str]) 
     listed = json.loads(capsys.readouterr().out)
     assert main(["hands", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == listed
+
+
+def test_joints_of_a_urdf_are_counted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ring = HandConfig(description=RING, fingertips={"f1_tip": (0.0, 0.0, 0.0)})
+    monkeypatch.setattr("dexctl.hands.names", lambda: ("ring",))
+    monkeypatch.setattr("dexctl.hands.config", lambda name: ring)
+    assert main(["hands", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["hands"]["ring"]["joints"] == 15
+    assert main(["hands"]) == 0
+    assert "joints in file" in capsys.readouterr().out
