@@ -137,7 +137,7 @@ def check_vector(
         array = np.empty(0)
     if array.shape != (size,) or not np.isfinite(array).all():
         expected = f"{size} finite numbers" if expected is None else expected
-        raise InvalidInput(f"{name} is {value!r}; expected {expected}")
+        raise InvalidInput(f"{name} is {shown(value)}; expected {expected}")
     return array
 
 

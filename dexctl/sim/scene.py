@@ -96,7 +96,7 @@ class Scene:
     @classmethod
     def build(
         cls,
-        hand: HandModel | str,
+        hand: HandModel | str | Path,
         object: str | None = None,  # noqa: A002 (the field's name for it)
         gravity: str | ArrayLike = "up",
         *,
@@ -141,7 +141,7 @@ class Scene:
             SimulationError: MuJoCo cannot compile the scene, or the hand cannot be simulated, or
                 not be moved.
         """
-        model = hands.load(hand) if isinstance(hand, str) else hand
+        model = hand if isinstance(hand, HandModel) else hands.load(hand)
         name, file = _object(object, mesh, object_mesh)
         held, postures, notes = model.config.object, model.config.postures, ()
         mass = checks.positive("object_mass", object_mass)
@@ -202,7 +202,7 @@ class Scene:
 
     @staticmethod
     def suggest_grasp(
-        hand: HandModel | str,
+        hand: HandModel | str | Path,
         object: str | None = None,  # noqa: A002
         *,
         mesh: str | Path | None = None,
@@ -238,7 +238,7 @@ class Scene:
         """
         from dexctl.sim.suggest import suggest
 
-        model = hands.load(hand) if isinstance(hand, str) else hand
+        model = hand if isinstance(hand, HandModel) else hands.load(hand)
         name, file = _object(object, mesh, None)
         return suggest(
             model, name, mesh=file, object_mass=object_mass, object_size=object_size,

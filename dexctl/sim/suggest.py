@@ -130,6 +130,8 @@ def suggest(
     }  # fmt: skip
     checks.count("count", count)
     checks.count("tries", tries)
+    if object_size is not None:
+        checks.positive("object_size", object_size)
     wanted = checks.vector("twist", twist, 6)
     if not wanted.any():
         raise InvalidInput("twist is all zero; expected the direction in which to move the object")

@@ -226,3 +226,14 @@ def test_what_is_neither_a_name_nor_a_path(hand: object) -> None:
     assert len(str(caught.value)) < 300 and "\n" not in str(caught.value)
     with pytest.raises(HandModelError, match="no such file"):
         HandModel.load(300 * "a" + ".xml")
+
+
+@pytest.mark.parametrize("posture", ["open", "grasp"])
+def test_postures_are_finite(two: Path, tmp_path: Path, posture: str) -> None:
+    said = rf"postures\.{posture}\.a_j1 is nan; expected a finite number"
+    with pytest.raises(HandModelError, match=said):
+        HandModel.load(toml(tmp_path, f"[postures.{posture}]\na_j1 = nan"))
+    with pytest.raises(HandModelError, match="open.a_j1 is 'far'; expected"):
+        PostureConfig(open={"a_j1": "far"})  # type: ignore[dict-item]
+    with pytest.raises(InvalidInput, match="angle of joint 'a_j1' is nan; expected a finite"):
+        HandModel.load(toml(tmp_path, "")).posture({"a_j1": np.nan})

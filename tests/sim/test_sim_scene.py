@@ -161,3 +161,34 @@ def test_menagerie_failures_are_one_line(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert "\n" not in str(caught.value)
     with pytest.raises(HandModelError, match="is not there"):
         hands.load("wonik_allegro", folder=tmp_path)
+
+
+def test_a_file_by_its_path(dex5: HandModel, tmp_path: Path) -> None:
+    dex5.config.write(tmp_path / "mine.toml")
+    scene = Scene.build(tmp_path / "mine.toml", "cube")
+    assert scene.hand.name == "dex5" and scene.object_width == dex5.config.object.size
+    with pytest.raises(InvalidInput, match="hand is 5; expected a name"):
+        Scene.build(5, "cube")  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="unknown object 'anvil'"):
+        Scene.suggest_grasp(tmp_path / "mine.toml", "anvil")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"open_q": {"f1_roll": np.nan}}, "angle of joint 'f1_roll' is nan; expected a finite"),
+        ({"grasp_q": {"f1_roll": "far"}}, "angle of joint 'f1_roll' is 'far'; expected a finite"),
+        ({"open_q": "far"}, "open_q is 'far'; expected 15 finite numbers"),
+        ({"grasp_centre": "here"}, "grasp_centre is 'here'; expected 3 finite numbers"),
+        ({"object_mass": "1 kg"}, "object_mass is '1 kg'; expected a finite number above 0"),
+    ],
+)
+def test_numbers_that_are_none(given: dict[str, object], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        Scene.build("dex5", "cube", **given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("size", [-1, 0, np.nan])
+def test_a_size_to_search_a_grasp_for(size: float) -> None:
+    with pytest.raises(InvalidInput, match="object_size is .*; expected a finite number above 0"):
+        Scene.suggest_grasp("dex5", "cube", object_size=size)
