@@ -232,8 +232,6 @@ class HandConfig:
             raise HandModelError(f"{path}: {error.strerror or error}") from None
         except ValueError as error:  # TOMLDecodeError, or no text
             raise HandModelError(f"{path}: not a TOML file: {error}") from None
-        if "source" in values:
-            raise UnknownName(f"setting of {path.name}", "source", ["description", "fingertips"])
         try:
             config = from_plain(cls, {"name": path.stem, **values}, path.name)
         except InvalidInput as error:

@@ -240,7 +240,7 @@ def check_settings(kind: type, names: Iterable[str], more: Sequence[str] = ()) -
     own = [field.name for field in fields(kind)]
     for name in names:
         if name not in own:
-            known = [one for one in (*more, *own) if one != name]
+            known = [one for one in dict.fromkeys((*more, *own)) if one != name]
             raise InvalidInput(
                 f"{kind.__name__} has no setting {name!r}; known keywords: {', '.join(known)}"
             )

@@ -237,3 +237,10 @@ def test_postures_are_finite(two: Path, tmp_path: Path, posture: str) -> None:
         PostureConfig(open={"a_j1": "far"})  # type: ignore[dict-item]
     with pytest.raises(InvalidInput, match="angle of joint 'a_j1' is nan; expected a finite"):
         HandModel.load(toml(tmp_path, "")).posture({"a_j1": np.nan})
+
+
+def test_what_is_no_setting_is_not_among_the_known(two: Path, tmp_path: Path) -> None:
+    for line in ("nam = 'a'", "source = 'a.toml'"):
+        with pytest.raises(UnknownName) as caught:
+            HandModel.load(toml(tmp_path, line))
+        assert "source" not in caught.value.known and "fingertips" in caught.value.known
