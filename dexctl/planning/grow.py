@@ -20,7 +20,7 @@ from dexctl.planning.metric import Metric, Nearest
 from dexctl.planning.nodes import Frame, root_of
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
-from dexctl.settings import to_plain
+from dexctl.settings import absolute, to_plain
 from dexctl.sim import Scene, SceneConfig
 
 _BLOCK = 10.0  # the file is written anew after this long, and never for more than a tenth of it [s]
@@ -111,7 +111,8 @@ def grow(
     try:
         tree = _begin(problem, expansion, goals, expander.action_names, seed, tree)
         if scene_config is not None:
-            tree.header.scene = to_plain(scene_config)
+            # its files are found from any folder
+            tree.header.scene = to_plain(absolute(scene_config, Path.cwd()))
         search = Nearest(len(scene.hand.joint_names) + 6)
         search.add(problem.metric.of(problem.frame, tree.nodes))
         limits = (np.asarray(scene.lower), np.asarray(scene.upper))
