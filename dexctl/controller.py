@@ -173,6 +173,8 @@ def check_state(hand: HandModel, state: GraspState) -> None:
 
     Whether its numbers are right: `check_sound`.
     """
+    if not isinstance(state, GraspState):
+        raise InvalidInput(f"state is {shown(state)}; expected a GraspState")
     if state.q.shape[-1] != hand.nq or state.in_contact.shape[-1] != hand.n_fingers:
         raise InvalidInput(
             f"state has {state.q.shape[-1]} joints and {state.in_contact.shape[-1]} fingers; "

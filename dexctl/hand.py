@@ -23,10 +23,12 @@ from dexctl.description import Description, Joint, Mimic, read_mjcf, read_urdf
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.hand_config import HandConfig, Vector3
 from dexctl.state import Bools, Floats
+from dexctl.validation import number
 
 Item = TypeVar("Item")
 MOST_JOINTS = 256
 """On one finger, arm and wrist included."""
+_MOST = float(np.finfo(float).max)
 
 
 class HandModel:
@@ -54,18 +56,15 @@ class HandModel:
             of shorter fingers are filled up with zeros, which `moves` tells from joint 0.
         finger_joint_map: ``(m, n, d)``; one where joint d is the n-th of a finger, else zero.
         shares_joints: whether some joint moves more than one fingertip.
-        couplings: joints that follow others of the d (or are held, where ``master`` is None), by
-            name: those of the file and those of `config`.
+        couplings: the joints above a fingertip that are not among the d, by name, and what each
+            follows in the end (held where ``master`` is None): by the file, and by `config`.
         ignored_joints: joints of the file that move no fingertip.
-        description: the bodies and joints of the file, with all couplings.
+        description: the bodies and joints of the file, with the couplings of `config` among its.
         path: the description file that the hand came from.
         config: what is said of the hand beside that file.
         name: the hand's name, for people and files.
         base_rotation: from the description file's world frame into the hand's, which is dexctl's
             world frame, ``(3, 3)``: there the palm looks along z and the fingers point along x.
-        description: the bodies and joints of the file, with the couplings of `config` among its.
-        couplings: the joints above a fingertip that are not among the d, and what each follows in
-            the end.
     """
 
     def __init__(self, description: Description, config: HandConfig) -> None:
@@ -217,6 +216,7 @@ class HandModel:
 
         Raises:
             UnknownName: the hand has no such joint.
+            InvalidInput: an angle is no finite number.
         """
         limited = np.isfinite(self.lower) & np.isfinite(self.upper)
         q = np.zeros(self.nq)
@@ -224,7 +224,9 @@ class HandModel:
         for joint, angle in angles.items():
             if joint not in self.joint_names:
                 raise UnknownName("joint", joint, self.joint_names)
-            q[self.joint_names.index(joint)] = angle
+            q[self.joint_names.index(joint)] = number(
+                f"the angle of joint {joint!r}", angle, -_MOST, _MOST, "a finite number [rad]"
+            )
         return self.clip(q)
 
     @cached_property

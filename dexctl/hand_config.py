@@ -108,6 +108,14 @@ class PostureConfig:
     grasp: dict[str, float] = field(default_factory=dict)
     """The fingertips about to touch the object; none: found when the grasp is settled."""
 
+    def __post_init__(self) -> None:
+        for name in ("open", "grasp"):
+            for joint, angle in getattr(self, name).items():
+                if not (isinstance(angle, int | float | np.number) and np.isfinite(angle)):
+                    raise HandModelError(
+                        f"postures.{name}.{joint} is {angle!r}; expected a finite number [rad]"
+                    )
+
 
 @dataclass(frozen=True, kw_only=True)
 class HeldObject:
@@ -224,8 +232,6 @@ class HandConfig:
             raise HandModelError(f"{path}: {error.strerror or error}") from None
         except ValueError as error:  # TOMLDecodeError, or no text
             raise HandModelError(f"{path}: not a TOML file: {error}") from None
-        if "source" in values:
-            raise UnknownName(f"setting of {path.name}", "source", ["description", "fingertips"])
         try:
             config = from_plain(cls, {"name": path.stem, **values}, path.name)
         except InvalidInput as error:

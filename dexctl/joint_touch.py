@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,15 @@ from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.touch import TouchConfig, estimate_touch, per_joint, servo_torques
+from dexctl.touch import (
+    TouchConfig,
+    check_hand,
+    estimate_touch,
+    per_joint,
+    servo_torques,
+    touch_config,
+)
+from dexctl.validation import number
 
 
 class JointTouch:
@@ -33,7 +42,8 @@ class JointTouch:
         control_period: from one call to the next [s].
 
     Raises:
-        InvalidInput: a number out of range, or of another number of joints.
+        InvalidInput: a number out of range, or of another number of joints; a hand or settings
+            that are none.
     """
 
     def __init__(
@@ -45,14 +55,17 @@ class JointTouch:
         *,
         control_period: float = 0.05,
     ) -> None:
+        check_hand(hand)
         self.hand = hand
-        self.config = config or TouchConfig()
+        self.config = touch_config(config)
         servo_torques(hand, np.zeros(hand.nq), np.zeros(hand.nq), stiffness)  # says what is wrong
         self._stiffness = np.asarray(stiffness, float)
         self._damping = per_joint(hand, "damping", damping)
         if not (self._damping >= 0).all():
             raise InvalidInput(f"damping is {damping}; expected N m s/rad from 0 on")
-        self._dt = control_period
+        self._dt = control_period = number(
+            "control_period", control_period, 0.0, sys.float_info.max, "seconds above 0", above=True
+        )
         smoothing = self.config.smoothing_time
         self._new = 1.0 if smoothing == 0 else float(-np.expm1(-control_period / smoothing))
         self._past: dict[str, np.ndarray] = {}

@@ -159,7 +159,7 @@ Names = Annotated[tuple[str, ...], _comma_separated("NAME,NAME", _read_names)]
 
 def to_plain(config: Any) -> dict[str, Any]:
     """A configuration as JSON can hold it; `from_plain` makes it again."""
-    return {field.name: _plain(getattr(config, field.name)) for field in fields(config)}
+    return {one.name: _plain(getattr(config, one.name)) for one in fields(config) if one.compare}
 
 
 def from_plain(kind: type[C], values: Mapping[str, Any], where: str = "") -> C:
@@ -309,9 +309,12 @@ def _has_no_default(one: Field[Any]) -> bool:
 
 @cache
 def _hints(kind: type) -> Mapping[str, Any]:
-    """The kinds of the fields, without what is only for the command line."""
+    """The kinds of the settings, without what is only for the command line.
+
+    A field that is not compared is no setting: it says where the others came from.
+    """
     hints = get_type_hints(kind)
-    return {field.name: hints[field.name] for field in fields(kind) if field.init}
+    return {one.name: hints[one.name] for one in fields(kind) if one.init and one.compare}
 
 
 def _arguments(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any]:

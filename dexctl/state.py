@@ -125,8 +125,8 @@ class GraspState:
             object_position, object_quaternion, time, age: as of the state.
 
         Raises:
-            InvalidInput: shapes that do not belong together, or both or neither of ``stiffness``
-                and ``torque``.
+            InvalidInput: shapes that do not belong together, both or neither of ``stiffness`` and
+                ``torque``, a hand that is none, or another kind of ``config``.
         """
         if stiffness is None and torque is None:
             raise InvalidInput("neither stiffness nor torque is given; expected one of them")
@@ -185,8 +185,10 @@ class GraspState:
         **pose: Any,
     ) -> GraspState:
         """The state by stiffness, torque and free torque, and by what is known of the fingers."""
-        from dexctl.touch import TouchConfig, estimate_touch, per_joint, servo_torques
+        from dexctl.touch import check_hand, estimate_touch, per_joint, servo_torques, touch_config
 
+        check_hand(hand)
+        settings = touch_config(config)
         stiffness, torque, free_torque = servos
         if stiffness is not None and torque is not None:
             raise InvalidInput("both stiffness and torque are given; expected one of them")
@@ -216,7 +218,7 @@ class GraspState:
                     f"object_position has shape {place.shape}; expected {(*shape[:-1], 3)}"
                 )
         found = estimate_touch(
-            hand, joints["q"], pressing, config or TouchConfig(), **known, object_position=place
+            hand, joints["q"], pressing, settings, **known, object_position=place
         )
         return cls(**joints, **found._asdict(), **pose)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
-from dexctl.validation import check_numbers
+from dexctl.validation import check_numbers, numbers, shown
 
 Floats = NDArray[np.float64]  # as in dexctl.state, which stands above
 Bools = NDArray[np.bool_]
@@ -85,6 +85,27 @@ class Hand(Protocol):
     def configuration(self, q: ArrayLike, /) -> Any:
         """Forward kinematics."""
         ...
+
+
+def check_hand(hand: object) -> None:
+    """Raise InvalidInput where ``hand`` has no kinematics, as a name has none."""
+    if not hasattr(hand, "configuration"):
+        raise InvalidInput(
+            f"hand is {shown(hand)}; expected a HandModel, such as dexctl.hands.load('dex5')"
+        )
+
+
+def touch_config(config: object) -> TouchConfig:
+    """``config``, or the defaults where it is None.
+
+    Raises:
+        InvalidInput: it is of another class.
+    """
+    if config is None:
+        return TouchConfig()
+    if not isinstance(config, TouchConfig):
+        raise InvalidInput(f"config is {shown(config)}; expected a TouchConfig, or None")
+    return config
 
 
 def servo_torques(hand: Hand, q: Floats, q_target: Floats, stiffness: ArrayLike) -> Floats:
@@ -169,9 +190,11 @@ def per_joint(hand: Hand, name: str, value: ArrayLike) -> Floats:
     Raises:
         InvalidInput: it is not finite, or of another number of joints.
     """
-    array = np.asarray(value, float)
+    array = numbers(name, value, f"finite numbers, one or (..., {hand.nq})")
     if array.shape[-1:] not in ((), (hand.nq,)) or not np.isfinite(array).all():
-        raise InvalidInput(f"{name} is {value}; expected finite numbers, one or (..., {hand.nq})")
+        raise InvalidInput(
+            f"{name} is {shown(value)}; expected finite numbers, one or (..., {hand.nq})"
+        )
     return array
 
 

@@ -137,7 +137,7 @@ def check_vector(
         array = np.empty(0)
     if array.shape != (size,) or not np.isfinite(array).all():
         expected = f"{size} finite numbers" if expected is None else expected
-        raise InvalidInput(f"{name} is {value!r}; expected {expected}")
+        raise InvalidInput(f"{name} is {shown(value)}; expected {expected}")
     return array
 
 
@@ -267,7 +267,7 @@ def check_settings(kind: type, names: Iterable[str], more: Sequence[str] = ()) -
     own = [field.name for field in fields(kind)]
     for name in names:
         if name not in own:
-            known = [one for one in (*more, *own) if one != name]
+            known = [one for one in dict.fromkeys((*more, *own)) if one != name]
             raise InvalidInput(
                 f"{kind.__name__} has no setting {name!r}; known keywords: {', '.join(known)}"
             )

@@ -27,17 +27,19 @@ def hand_page(
     guesses: Iterable[tuple[str, str, str]] = (),
     checks: Iterable[HandCheck] = (),
     failure: DexctlError | None = None,
+    grasp: bool = True,
 ) -> list[str]:
     """Write PNG files and ``report.html``; their paths.
 
     Args:
         folder: where; made if need be.
-        scene: hand and object; None: no pictures.
+        scene: with the hand in it; None: no pictures.
         title: of the page.
         source: which file the hand is from.
         guesses: setting, value, reason.
         checks: as `check_hand` yields them.
         failure: why there is no grasp.
+        grasp: whether the scene has one, or an attempt at one, to draw.
 
     Raises:
         SimulationError: there is no OpenGL to draw with.
@@ -56,8 +58,9 @@ def hand_page(
         for view, picture in hand_pictures(scene, scene.open_q).items():
             pictures[f"the hand, open, {view}"] = picture
         what = "the grasp" if failure is None else "the attempt that came closest"
-        with suppress(SimulationError):  # it does not settle, as `failure` says
-            pictures[what] = grasp_picture(scene, failure)
+        if grasp:
+            with suppress(SimulationError):  # it does not settle, as `failure` says
+                pictures[what] = grasp_picture(scene, failure)
     words = {True: "yes", False: "no", None: "not checked"}
     said = ["no grasp was found: " + str(failure)] if failure is not None else []
     page = report.build(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,6 +12,8 @@ from dexctl import hands
 from dexctl.cli.hands_add import Add
 from dexctl.cli.hands_check import Check
 from dexctl.cli.parsing import Switch
+from dexctl.description.xml_text import parse_xml
+from dexctl.exceptions import DexctlError
 from dexctl.hand_config import MENAGERIE
 
 
@@ -35,13 +36,13 @@ class Hands:
         if self.json:
             print_json({"hands": found})
             return 0
-        numbers = ("fingers", "joints")
+        numbers = ("fingers", "joints in file")
         listed = table("hand", *numbers, "files", "description", right=numbers)
         for name, about in found.items():
-            joints = "?" if about["joints"] is None else str(about["joints"])
-            listed.add_row(
-                name, str(about["fingers"]), joints, about["files"], about["description"]
+            counts = (
+                "?" if about[key] is None else str(about[key]) for key in ("fingers", "joints")
             )
+            listed.add_row(name, *counts, about["files"], about["description"])
         results().print(listed)
         return 0
 
@@ -49,8 +50,18 @@ class Hands:
 def describe(name: str) -> dict[str, Any]:
     """What the table says of a hand; loads neither MuJoCo nor the hand.
 
-    ``files`` is "built in", "here", "missing", or "on demand" where a download would come first.
+    ``files`` is "built in", "here", "missing", "on demand" where a download would come first, or
+    "broken" where the description is what is wrong. ``joints`` are those of the file, with those
+    that are held, follow others or move no fingertip.
     """
+    try:
+        return _described(name)
+    except DexctlError as error:  # of one hand; the others are listed all the same
+        wrong = {"fingers": None, "joints": None, "files": "broken", "path": None}
+        return {"description": str(error), **wrong}
+
+
+def _described(name: str) -> dict[str, Any]:
     hand = hands.config(name)
     folder = os.environ.get("DEXCTL_MENAGERIE")
     of_menagerie = str(hand.description).startswith(MENAGERIE)
@@ -74,8 +85,10 @@ def describe(name: str) -> dict[str, Any]:
 
 
 def _count_joints(path: Path) -> int | None:
-    """Joints of an MJCF file, as it writes them; None where the file includes others."""
-    root = ElementTree.parse(path).getroot()
+    """Joints that move, as the file writes them; None where an MJCF file includes others."""
+    root = parse_xml(path)
+    if root.tag == "robot":
+        return sum(joint.get("type") != "fixed" for joint in root.findall("joint"))
     if root.find(".//include") is not None:
         return None
     return sum(len(list(world.iter("joint"))) for world in root.findall("worldbody"))

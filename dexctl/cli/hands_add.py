@@ -41,7 +41,7 @@ class Add:
     out: Path | None = None
     """The toml; none: named after the file, in the current folder."""
     fingertips: tuple[str, ...] = ()
-    """Bodies or links that are the fingertips, in the order of the fingers; none: found."""
+    """Bodies, links or sites that are the fingertips, in the order of the fingers; none: found."""
     base: str | None = None
     """Only what hangs on this body; for files of several hands, or of a hand on an arm."""
     object: str | None = None
@@ -94,7 +94,7 @@ class Add:
                 console.print(f"dexctl: no grasp: {error}")
                 scene = getattr(error, "scene", None)
             config.write(out, reasons)
-        pictures = _draw(out, scene, config, reasons, failure)
+        pictures = _draw(out, hand, scene, config, reasons, failure)
         rows = list(guesses(config, reasons))
         found = {
             "command": "hands add",
@@ -209,15 +209,25 @@ def _short(value: Any) -> str:
 
 def _draw(
     out: Path,
+    hand: HandModel,
     scene: Scene | None,
     config: HandConfig,
     reasons: dict[str, str],
     failure: DexctlError | None,
 ) -> list[str]:
-    """Pictures and page beside the toml; what could not be drawn is said."""
+    """Pictures and page beside the toml; what could not be drawn is said.
+
+    Without a grasp, and without an attempt at one, hand and fingertips are drawn by themselves.
+    """
     from dexctl.cli.hand_page import hand_page
 
+    grasp = scene is not None
     try:
+        if scene is None:
+            from dexctl.sim import Scene
+
+            amid = hand.fingertip_positions(hand.posture({})).mean(axis=0)  # it is not drawn
+            scene = Scene.build(hand, object_size=0.05, grasp_centre=amid)
         return hand_page(
             out.with_suffix(""),
             scene,
@@ -225,6 +235,7 @@ def _draw(
             source=str(config.description),
             guesses=list(guesses(config, reasons)),
             failure=failure,
+            grasp=grasp,
         )
     except DexctlError as error:
         notes().print(f"dexctl: no pictures: {error}")

@@ -140,8 +140,8 @@ class _UrdfJoint:
         joint = Joint(self.name, kinds.get(self.type, self.type), axis / length)
         if self.element.find("limit") is not None:
             # many files have a zero here for what nobody knew; no motor has
-            joint.effort = self._number("limit", "effort", np.inf) or np.inf
-            joint.velocity = self._number("limit", "velocity", np.inf) or np.inf
+            joint.effort = self._most("effort") or np.inf
+            joint.velocity = self._most("velocity") or np.inf
             if self.type != "continuous":
                 joint.lower = self._number("limit", "lower", 0.0)
                 joint.upper = self._number("limit", "upper", 0.0)
@@ -158,6 +158,12 @@ class _UrdfJoint:
             return {}
         scale = self._number("mimic", "multiplier", 1.0)
         return {self.name: Mimic(found.get("joint"), scale, self._number("mimic", "offset", 0.0))}
+
+    def _most(self, attribute: str) -> float:
+        value = self._number("limit", attribute, np.inf)
+        if value < 0:
+            raise self._error(f"has {attribute}={value:g} in <limit>; expected 0 or more")
+        return value
 
     def _number(self, tag: str, attribute: str, default: float) -> float:
         return float(self._numbers(tag, attribute, (default,))[0])

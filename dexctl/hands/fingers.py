@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,7 +23,7 @@ class Finger:
     """A finger as it was found.
 
     Attributes:
-        body: the body that the tip is on.
+        body: the body that the tip is on, or the site that it is at.
         offset: where the tip is in its frame ``(3,)`` [m].
         radius: half the width of the tip [m].
         joints: its own, base to tip, those that follow others among them.
@@ -68,21 +69,23 @@ def find_fingers(
 
     Args:
         description: the file.
-        chosen: bodies or links that are the fingertips; none: found.
+        chosen: bodies, links or sites that are the fingertips; none: found.
         base: only what hangs on this body.
 
     Raises:
-        UnknownName: there is no such body.
-        HandModelError: no finger, or those of several hands.
+        UnknownName: there is no such body or site.
+        HandModelError: no finger, those of several hands, a joint that is neither hinge nor slide
+            on the way to one, a chosen fingertip that does not move or that moves with another.
     """
     points, parts = body_points(description), segments(description)
     names = [body.name for body in description.bodies]
-    for name in (*chosen, *([base] if base else ())):
-        if name not in names:
-            raise UnknownName("body", name, names)
-    of_body = {body: s for s, part in enumerate(parts) for body in part.bodies}
+    for name in chosen:
+        if name not in names and name not in description.sites:
+            raise UnknownName("body", name, [*names, *description.sites])
+    if base and base not in names:
+        raise UnknownName("body", base, names)
     if chosen:
-        leaves, dropped = [of_body[names.index(name)] for name in chosen], {}
+        leaves, dropped = _chosen_leaves(description, parts, chosen), {}
     else:
         below = _below(description, None if base is None else names.index(base))
         leaves, dropped = _leaves(description, parts, points, below)
@@ -106,6 +109,29 @@ def find_fingers(
         }
     held = tuple(joint.name for s in trunk for joint in parts[s].joints)
     return Fingers(list(found.values()), held, dropped)
+
+
+def _chosen_leaves(
+    description: Description, parts: list[Segment], chosen: tuple[str, ...]
+) -> list[int]:
+    """The segments of fingertips that were named, one each."""
+    names = [body.name for body in description.bodies]
+    of_body = {body: s for s, part in enumerate(parts) for body in part.bodies}
+    found: dict[int, str] = {}
+    for name in chosen:
+        body = names.index(name) if name in names else description.sites[name][0]
+        leaf = of_body[body]
+        if leaf == 0:
+            raise HandModelError(f"{description.path}: no joint moves the fingertip {name!r}")
+        if found.get(leaf) == name:
+            raise HandModelError(f"{description.path}: the fingertip {name!r} is named twice")
+        if leaf in found:
+            raise HandModelError(
+                f"{description.path}: the fingertips {found[leaf]!r} and {name!r} move as one; "
+                "name one for each finger"
+            )
+        found[leaf] = name
+    return list(found)
 
 
 def _below(description: Description, base: int | None) -> set[int]:
@@ -140,15 +166,26 @@ def _leaves(
             if not part.children:
                 dropped[name(s)] = "no geometry"
             continue
-        kinds = {joint.kind for one in _chain(parts, s) for joint in parts[one].joints}
-        if kinds - {"hinge", "slide"}:
-            dropped[name(s)] = f"moves on a {(kinds - {'hinge', 'slide'}).pop()} joint"
+        above = [joint for one in _chain(parts, s) for joint in parts[one].joints]
+        other = [joint for joint in above if joint.kind not in ("hinge", "slide")]
+        if other:
+            why = f"moves on the {other[0].kind} joint {other[0].name!r}"
+            # what lies about free, or hangs on one such joint, is no part of the hand; a finger
+            # that has one cannot be controlled, and is not to be missing without a word
+            if len(other) < len(above) and above[0].kind != "free":
+                raise HandModelError(
+                    f"{description.path}: {name(s)!r} {why}; the base must be fixed and fingers "
+                    "have hinge or slide joints only; make it one, or say which other bodies are "
+                    "the fingertips"
+                )
+            dropped[name(s)] = why
             continue
         leaves.append(s)
     if not leaves:
+        reasons = "".join(f"; {body}: {why}" for body, why in dropped.items())
         raise HandModelError(
-            f"{description.path}: no end of the tree carries geometry and moves; say which bodies "
-            "are the fingertips"
+            f"{description.path}: no end of the tree carries geometry and moves on hinge or slide "
+            f"joints over a fixed base; say which bodies are the fingertips{reasons}"
         )
     return sorted(leaves, key=lambda leaf: _chain(parts, leaf)), dropped
 
@@ -188,8 +225,9 @@ def _check_one_hand(
     if len(bodies) > 1:
         named = " and ".join(repr(description.bodies[body].name) for body in bodies)
         raise HandModelError(
-            f"{description.path}: {len(bodies)} hands, below {named}; say which is meant: "
-            f"--base {description.bodies[bodies[0]].name}"
+            f"{description.path}: {len(bodies)} hands, below {named}; write a toml of one of them: "
+            f"dexctl hands add {shlex.quote(description.path.name)} --base "
+            f"{shlex.quote(description.bodies[bodies[0]].name)}"
         )
 
 
@@ -239,7 +277,12 @@ def _finger(
 def _moved(
     description: Description, placed: list[tuple[Floats, Floats]], finger: Finger, name: str
 ) -> Finger:
-    """The finger with its tip on the body ``name``."""
+    """The finger with its tip on the body ``name``, or at the site of that name."""
+    if all(body.name != name for body in description.bodies):  # a site is a point as it is
+        body, at = description.sites[name]
+        rotation, origin = placed[body]
+        tip = rotation @ at + origin
+        return Finger(name, np.zeros(3), finger.radius, finger.joints, finger.base, tip)
     index = next(i for i, body in enumerate(description.bodies) if body.name == name)
     rotation, origin = placed[index]
     offset = rotation.T @ (finger.tip - origin)

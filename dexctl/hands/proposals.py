@@ -42,12 +42,12 @@ def propose(path: str | Path, fingertips: Sequence[str] = (), base: str | None =
 
     Args:
         path: MJCF or URDF.
-        fingertips: bodies or links that are the fingertips, where they are known.
+        fingertips: bodies, links or sites that are the fingertips, where they are known.
         base: only what hangs on this body; for files of several hands.
 
     Raises:
         HandModelError: the file cannot be read, or no hand is found in it.
-        UnknownName: a body that is not there.
+        UnknownName: a body or site that is not there.
     """
     path = Path(path).expanduser()
     if not path.is_file():
@@ -86,7 +86,8 @@ def closing(hand: HandModel) -> Floats:
 
     0 for a joint that has no longer end: it spreads the fingers, or has no limits.
     """
-    middle, span = (hand.lower + hand.upper) / 2, hand.upper - hand.lower
+    with np.errstate(invalid="ignore"):  # without limits
+        middle, span = (hand.lower + hand.upper) / 2, hand.upper - hand.lower
     bends = np.isfinite(span) & (np.abs(middle) > _ABDUCTION * span)
     return np.where(bends, np.sign(np.where(bends, middle, 0.0)), 0.0)
 
@@ -143,7 +144,8 @@ def _parallel_to_last(hand: HandModel, at: HandConfiguration) -> Bools:
 
 def _why_fingers(found: Fingers, given: bool) -> str:
     text = "As given" if given else "The ends of the tree that carry geometry"
-    text += "; offset: the middle of the end of the geometry, one half-width inside."
+    text += "; offset: the middle of the end of the geometry, one half-width inside"
+    text += "; none for a site, which is the tip itself." if given else "."
     for body, why in found.dropped.items():
         text += f"\nNot taken for a finger: {body} ({why})."
     return text

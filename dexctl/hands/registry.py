@@ -11,10 +11,11 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dexctl.exceptions import HandModelError, UnknownName
+from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.files import is_path
 from dexctl.hand import HandModel
 from dexctl.hand_config import HandConfig
+from dexctl.validation import shown
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -42,7 +43,18 @@ def is_own(hand: str) -> bool:
 
 
 def check(hand: str | Path) -> None:
-    """Raise UnknownName where there is no hand of that name; files are not looked for."""
+    """Raise UnknownName where there is no hand of that name; files are not looked for.
+
+    Raises:
+        InvalidInput: neither a name nor a path, or what is in a file.
+        UnknownName: no such name.
+    """
+    text = isinstance(hand, str) and (hand.lstrip("\ufeff \t\r\n").startswith("<") or "\n" in hand)
+    if text or not isinstance(hand, str | Path):
+        raise InvalidInput(
+            f"hand is {shown(hand)}; expected a name ({', '.join(names())}) or the path of a file "
+            "(.toml, .xml, .urdf)"
+        )
     if not is_path(hand) and hand not in names():
         raise UnknownName("hand", hand, [*names(), "a file (.toml, .xml, .urdf)"])
 
@@ -56,11 +68,12 @@ def config(hand: str | Path) -> HandConfig:
 
     Raises:
         UnknownName: no such name.
-        HandModelError, InvalidInput: the file is not there or not well made.
+        HandModelError, InvalidInput: the file is not there or not well made, what another package
+            adds cannot be loaded, or it is neither a name nor a path.
     """
     check(hand)
     if is_path(hand):
-        if not Path(hand).expanduser().is_file():
+        if not _is_file(Path(hand).expanduser()):
             raise HandModelError(f"{hand}: no such file; a hand is a .toml, .xml or .urdf file")
         if Path(hand).suffix.lower() == ".toml":
             return HandConfig.read(hand)
@@ -70,7 +83,13 @@ def config(hand: str | Path) -> HandConfig:
     if hand in _OWN:
         return HandConfig.read(_OWN[str(hand)])
     point = _added()[str(hand)]
-    found = point.load()
+    try:
+        found = point.load()
+    except Exception as error:  # whatever the other package raises
+        raise HandModelError(
+            f"the hand {hand!r} cannot be loaded from {point.value}: {type(error).__name__}: "
+            f"{' '.join(str(error).split())}"
+        ) from error
     if isinstance(found, str | Path):
         return HandConfig.read(found)
     if not isinstance(found, HandConfig):
@@ -79,6 +98,13 @@ def config(hand: str | Path) -> HandConfig:
             "HandConfig"
         )
     return found
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
 
 
 def load(hand: str | Path, *, folder: str | Path | None = None) -> HandModel:
@@ -91,6 +117,7 @@ def load(hand: str | Path, *, folder: str | Path | None = None) -> HandModel:
 
     Raises:
         UnknownName: no such name.
+        InvalidInput: neither a name nor a path.
         HandModelError: its file is not to be had; the message says how to get it.
     """
     return config(hand).build(folder=folder)

@@ -22,7 +22,7 @@ from dexctl.planning.nodes import Frame, root_of
 from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
-from dexctl.settings import to_plain
+from dexctl.settings import absolute, to_plain
 from dexctl.sim import Scene, SceneConfig
 from dexctl.validation import check_seed, number, shown
 
@@ -264,7 +264,8 @@ def _begin(
         {name: to_plain(value) for name, value in settings.items()},
         seed,
     )
-    header.scene = None if scene_config is None else to_plain(scene_config)
+    if scene_config is not None:  # its files are found from any folder
+        header.scene = to_plain(absolute(scene_config, Path.cwd()))
     if tree is None:
         return Tree(header, problem.root)
     tree.header.check_same(header)

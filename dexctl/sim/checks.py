@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
+from dexctl.validation import check_vector, number
 
 GRAVITY = {"up": (0.0, 0.0, -9.81), "down": (0.0, 0.0, 9.81)}
 
@@ -30,18 +31,12 @@ def count(name: str, value: object) -> int:
 
 def positive(name: str, value: float) -> float:
     """A finite number above 0."""
-    number = float(value)
-    if not (np.isfinite(number) and number > 0):
-        raise InvalidInput(f"{name} is {value}; expected a finite number above 0")
-    return number
+    return number(name, value, 0.0, np.finfo(float).max, "a finite number above 0", above=True)
 
 
 def vector(name: str, value: ArrayLike | None, length: int) -> Floats:
     """``(length,)`` finite numbers."""
-    numbers = np.asarray(value, float)
-    if numbers.shape != (length,) or not np.isfinite(numbers).all():
-        raise InvalidInput(f"{name} is {value}; expected {length} finite numbers")
-    return numbers
+    return check_vector(name, value, length)
 
 
 def gravity_vector(gravity: str | ArrayLike) -> Floats:

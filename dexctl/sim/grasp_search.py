@@ -17,16 +17,17 @@ import numpy as np
 
 from dexctl.grasp import stability_forces
 from dexctl.sim.shapes import Shape
-from dexctl.sim.workspace import CLEAR, Workspace
+from dexctl.sim.workspace import CLEAR, Touches, Workspace
 from dexctl.state import Bools, Floats
 
-_LEAST_FINGERS = 3
+LEAST_FINGERS = 3
 _SPREAD = 32  # combinations of fingers' postures that are drawn in each place
-_PALM_CLEAR = 0.003  # [m]
+PALM_CLEAR = 0.003  # [m]
 _REGULARISER = 1e-3
 _LEAST_FORCE = 0.3  # what every finger presses with, as a share of the strongest
 _SIZES = (0.3, 0.65)  # widths that suit a hand, over the length of its fingers
 _LEAST_LIFTED = 0.1  # the same while one is lifted
+_LEAST_EASE = 0.02  # of a finger's posture
 _STARTS = 12  # best places whose surroundings are searched
 
 
@@ -129,7 +130,7 @@ class GraspSearch:
     def run(self, placements: int = 240, keep: int = 48) -> Contacts | None:
         """The best ``keep`` combinations, best first; None where no place is in reach."""
         rng = np.random.default_rng(self.seed)
-        found = self._explore(self._drawn(placements, rng), rng)
+        found = self._explore(self.drawn(placements, rng), rng)
         if found is None:
             return None
         best = _distinct(found, _STARTS, 1)
@@ -143,7 +144,8 @@ class GraspSearch:
             found = Contacts.joined([found, more])
         return found.take(_distinct(found, keep, 2))
 
-    def _drawn(self, count: int, rng: np.random.Generator) -> list[Placement]:
+    def drawn(self, count: int, rng: np.random.Generator) -> list[Placement]:
+        """Places, sizes and turns amid the fingertips of random postures."""
         space = self.workspace
         centres, sizes = self.centre, self.size
         # amid the tips of random postures that are far from limits
@@ -192,7 +194,7 @@ class GraspSearch:
         """Combinations in one place, without their imbalance yet."""
         space, shape = self.workspace, self.shape.scaled(place.size)
         palm = space.palm_clearance(shape, place.centre, place.turn)
-        if palm < _PALM_CLEAR:
+        if palm < PALM_CLEAR:
             return None
         m, d = space.hand.n_fingers, space.hand.nq
         q = np.broadcast_to(self.base, (_SPREAD, d)).copy()
@@ -200,14 +202,14 @@ class GraspSearch:
         position, normal = np.zeros((_SPREAD, m, 3)), np.zeros((_SPREAD, m, 3))
         clearance, ease = np.full(_SPREAD, palm), np.ones(_SPREAD)
         for finger in range(m):
-            if active[0].sum() + m - finger < min(_LEAST_FINGERS, m):
+            if active[0].sum() + m - finger < min(LEAST_FINGERS, m):
                 return None
             touch = space.touches(finger, shape, place.centre, place.turn)
             if not len(touch.posture):
                 continue
             value = self._ease(finger, touch.posture)
             strong = self._strong(finger, touch)
-            rows = np.flatnonzero(strong & (value > 0.02))
+            rows = np.flatnonzero(strong & (value > _LEAST_EASE))
             if not len(rows):
                 continue
             weight = value[rows] * np.minimum(touch.clearance[rows] / 0.01, 1.0)
@@ -220,12 +222,16 @@ class GraspSearch:
             ease = np.minimum(ease, value[pick])
         apart = _apart(position, active) > 0.014
         rows = np.flatnonzero(apart)
-        if not len(rows) or active[0].sum() < min(_LEAST_FINGERS, m):
+        if not len(rows) or active[0].sum() < min(LEAST_FINGERS, m):
             return None
         return Contacts(
             (place,) * len(rows), q[rows], active[rows], position[rows], normal[rows],
             clearance[rows], ease[rows], np.zeros(len(rows)), np.ones(len(rows)),
         )  # fmt: skip
+
+    def able(self, finger: int, touch: Touches) -> tuple[Bools, Bools]:
+        """In which postures ``(k,)`` a finger can press, and in which it can move all ways."""
+        return self._strong(finger, touch), self._ease(finger, touch.posture) > _LEAST_EASE
 
     def _ease(self, finger: int, rows: np.ndarray) -> Floats:
         space = self.workspace
@@ -250,7 +256,7 @@ def _apart(position: Floats, active: Bools) -> Floats:
 
 def _lifted(found: Contacts) -> Floats:
     """See `Contacts.lifted`."""
-    worst = np.where(found.active.sum(axis=-1) > _LEAST_FINGERS, 0.0, 1.0)
+    worst = np.where(found.active.sum(axis=-1) > LEAST_FINGERS, 0.0, 1.0)
     for finger in range(found.active.shape[1]):
         others = found.active.copy()
         others[:, finger] = False

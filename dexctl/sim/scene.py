@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -46,7 +46,7 @@ class Scene:
             file has one of that name.
         moving_base: whether the hand can be moved, with `BatchSimulator.move_base`.
         notes: what the hand's file lacks for a simulation, and what was done about it; which grasp
-            was chosen where nobody says one.
+            was chosen where nobody says one, or where this object is not held (once it settles).
         model: the MuJoCo model that is stepped: no visual geoms, contact sensors added.
         qpos_columns, qvel_columns: the hand's d joints in ``qpos`` and ``qvel``.
         object_qpos: the object's pose in ``qpos``: position, quaternion wxyz.
@@ -75,6 +75,7 @@ class Scene:
         object_body: str = "object",
         moving_base: bool = False,
         notes: tuple[str, ...] = (),
+        elsewhere: Mapping[str, Any] | None = None,
     ) -> None:
         self.hand = hand
         self.object = object
@@ -88,6 +89,7 @@ class Scene:
         self.object_body = object_body
         self.moving_base = moving_base
         self.notes = notes
+        self._elsewhere = elsewhere  # how to ask for another place; None: this one was wanted
         self._spec = spec
         self.model = lean_model(spec, hand)
         self._find_joints()
@@ -96,7 +98,7 @@ class Scene:
     @classmethod
     def build(
         cls,
-        hand: HandModel | str,
+        hand: HandModel | str | Path,
         object: str | None = None,  # noqa: A002 (the field's name for it)
         gravity: str | ArrayLike = "up",
         *,
@@ -127,7 +129,9 @@ class Scene:
             object_mesh: the same, by the name that it has in `SceneConfig`.
             grasp_centre: where the hand holds the object, ``(3,)`` [m]. Default: as the hand's
                 toml says; where it says nothing, the first that `suggest_grasp` finds, with its
-                size and postures where these are not given (``notes`` says so).
+                size and postures where these are not given (``notes`` says so). Where the toml
+                says it for another object, and this one does not settle there, the same is asked
+                for a place of this width when it settles, unless a posture is given.
             open_q: joints of the open hand, ``(d,)`` or by name [rad]. Default, and for joints
                 that are left out: as the hand's toml says, else the middle of each range.
             grasp_q: joints with the fingertips about to touch the object, in the same forms.
@@ -141,7 +145,7 @@ class Scene:
             SimulationError: MuJoCo cannot compile the scene, or the hand cannot be simulated, or
                 not be moved.
         """
-        model = hands.load(hand) if isinstance(hand, str) else hand
+        model = hand if isinstance(hand, HandModel) else hands.load(hand)
         name, file = _object(object, mesh, object_mesh)
         held, postures, notes = model.config.object, model.config.postures, ()
         mass = checks.positive("object_mass", object_mass)
@@ -150,6 +154,14 @@ class Scene:
         else:
             width = 0.0 if name == MESH else held.size
         place = held.centre if grasp_centre is None else grasp_centre
+        elsewhere = None
+        given = any(one is not None for one in (grasp_centre, open_q, grasp_q))
+        if not given and held.shape not in (None, name):  # the place is another object's
+            elsewhere = {
+                "gravity": gravity, "mesh": file, "object_mass": mass,
+                "object_size": width or None, "friction": friction, "grip": grip,
+                "grasp_centre": None,
+            }  # fmt: skip
         if place is None or width is None:
             from dexctl.sim.suggest import suggested
 
@@ -198,11 +210,12 @@ class Scene:
             object_body=own_name,
             moving_base=moving_base,
             notes=(*changed, *notes),
+            elsewhere=elsewhere if held.centre is not None else None,
         )
 
     @staticmethod
     def suggest_grasp(
-        hand: HandModel | str,
+        hand: HandModel | str | Path,
         object: str | None = None,  # noqa: A002
         *,
         mesh: str | Path | None = None,
@@ -238,7 +251,7 @@ class Scene:
         """
         from dexctl.sim.suggest import suggest
 
-        model = hands.load(hand) if isinstance(hand, str) else hand
+        model = hand if isinstance(hand, HandModel) else hands.load(hand)
         name, file = _object(object, mesh, None)
         return suggest(
             model, name, mesh=file, object_mass=object_mass, object_size=object_size,
@@ -255,12 +268,56 @@ class Scene:
     def settled(self) -> SettledGrasp:
         """The settled grasp of the object, found once (see `dexctl.sim.settle`).
 
+        An object that does not settle where the hand's toml holds another is held where
+        `suggest_grasp` finds a place for it: `grasp_centre`, `open_q` and `grasp_q` are then that
+        grasp's, and `notes` says so.
+
         Raises:
             SimulationError: the object does not stay in the hand.
         """
         from dexctl.sim.settle import settle
+        from dexctl.sim.settle_failure import SettleFailure
 
-        return settle(self)
+        try:
+            return settle(self)
+        except SettleFailure as failure:
+            if self._elsewhere is None or failure.too_heavy:
+                raise
+            before = self.grasp_centre, self.open_q, self.grasp_q
+            try:
+                return self._settled_elsewhere(self._elsewhere)
+            except SimulationError:  # no place at all: the first failure says more
+                self._move(*before)
+                raise failure from None
+
+    def _settled_elsewhere(self, options: Mapping[str, Any]) -> SettledGrasp:
+        from dexctl.sim.settle import settle
+        from dexctl.sim.suggest import suggested
+
+        found = suggested(self.hand, self.object, **options)
+        self._move(found.centre, found.open_q, found.grasp_q)
+        settled = settle(self)
+        shape = self.hand.config.object.shape
+        why = f"not held where the hand's toml holds a {shape}: {found.note}"
+        self.notes = (*self.notes, why)
+        return settled
+
+    def hold_as(self, other: Scene) -> None:
+        """Hold the object where another scene of this hand and object does, and nowhere else.
+
+        To be called before it settles: other widths of one object are held in one place.
+        """
+        if self._elsewhere is not None:
+            _ = other.settled  # it may be held elsewhere than it was built
+            self._move(other.grasp_centre, other.open_q, other.grasp_q)
+        self._elsewhere = None
+
+    def _move(self, centre: Floats, open_q: Floats, grasp_q: Floats | None) -> None:
+        """Have the object held elsewhere, in the compiled model and in what it is made of."""
+        self.grasp_centre, self.open_q, self.grasp_q = centre, open_q, grasp_q
+        self._spec.body(self.object_body).pos = centre
+        self.model.body(self.object_body).pos = centre
+        self.model.qpos0[self.object_qpos][:3] = centre
 
     def friction(self, model: mujoco.MjModel | None = None) -> float:
         """Sliding friction coefficient between object and fingertips, the least of all pairs.

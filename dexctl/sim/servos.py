@@ -38,7 +38,7 @@ def add_servos(
     kept: dict[str, mujoco.MjsActuator] = {}
     moved: dict[str, _Servo] = {}
     removed: list[str] = []
-    together: list[tuple[str, list[str]]] = []
+    together: list[tuple[int, str, list[str]]] = []
     found = [(a, i, _driven(spec, model, hand, a)) for i, a in enumerate(spec.actuators)]
     for actuator, i, _ in found:
         direct = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target in names
@@ -52,7 +52,7 @@ def add_servos(
         if free and _is_position(model, i):
             moved[joints[0]] = _Servo.of(model, i, driven[joints[0]], driven.get("", 0.0))
         elif len(joints) > 1:
-            together.append((actuator.name, joints))
+            together.append((i, actuator.name, joints))
         elif len(joints) == 1 and joints[0] in kept and _is_damper(model, i):
             other = kept[joints[0]]
             prm = other.biasprm.copy()
@@ -68,15 +68,16 @@ def add_servos(
         notes.append(f"filters of position actuators left out: {listed(slow)}")
     servos = hand.config.servos
     stiffness, damping = servos.of("stiffness", names), servos.of("damping", names)
-    for name, joints in together:
+    for i, name, joints in together:
         if any(j not in kept and np.isnan(stiffness[names.index(j)]) for j in joints):
+            which = repr(name) if name else f"{i}, without a name,"
             raise SimulationError(
-                f"{hand.path}: the actuator {name!r} drives {' and '.join(joints)} together, and "
+                f"{hand.path}: the actuator {which} drives {' and '.join(joints)} together, and "
                 "nothing couples them: say how in [couplings] of the hand's toml "
                 f"({joints[-1]} = {{joint = {joints[0]!r}, scale = 1.0}}), or give each a servo of "
                 "its own with a stiffness in [servos]"
             )
-        removed.append(name)
+        removed.append(name or f"actuator {i}")
     if removed:
         notes.append(f"actuators taken away, for servos of position: {listed(removed)}")
     for name, servo in moved.items():

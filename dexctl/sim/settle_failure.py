@@ -67,6 +67,19 @@ class SettleFailure(SimulationError):
         )
 
     @property
+    def too_heavy(self) -> bool:
+        """Whether the object weighs more than all fingers carry by friction, wherever it is."""
+        return self._weight > self._carried
+
+    @property
+    def _weight(self) -> float:
+        return self.scene.object_mass * float(np.linalg.norm(self.scene.gravity))
+
+    @property
+    def _carried(self) -> float:
+        return self.scene.friction() * self.scene.grip * self.scene.hand.n_fingers
+
+    @property
     def advice(self) -> str:
         """What to change, in one line."""
         best = self.closest
@@ -83,12 +96,11 @@ class SettleFailure(SimulationError):
         if "more of the hand" in reasons:
             return "a smaller object_size or a grasp_centre further from the palm keeps links clear"
         scene = self.scene
-        weight = scene.object_mass * float(np.linalg.norm(scene.gravity))
-        most = scene.friction() * scene.grip * scene.hand.n_fingers
-        if weight > most:
+        if self.too_heavy:
             return (
-                f"it weighs {weight:.1f} N, and {scene.hand.n_fingers} fingers pressing with "
-                f"{scene.grip:g} N carry {most:.1f} N by friction: less object_mass, or more grip"
+                f"it weighs {self._weight:.1f} N, and {scene.hand.n_fingers} fingers pressing with "
+                f"{scene.grip:g} N carry {self._carried:.1f} N by friction: less object_mass, or "
+                "more grip"
             )
         return (
             "every fingertip reaches it: a lighter object, more friction, another grip, or the "

@@ -65,6 +65,7 @@ def _settled(config: SceneConfig, scene: Scene, size: float) -> tuple[Floats, ..
     if size != 1.0:
         one = replace(config, object=(scene.object,), object_size=size * scene.object_width)
         (sized,) = one.scenes(scene.hand)
+        sized.hold_as(scene)
     grasp = sized.settled
     pose = grasp.qpos[sized.object_qpos]
     return grasp.qpos[sized.qpos_columns], grasp.q_target, pose[:3], pose[3:]

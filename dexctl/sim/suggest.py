@@ -21,6 +21,7 @@ from dexctl.hand_config import HandConfig, HeldObject, PostureConfig
 from dexctl.sim import checks
 from dexctl.sim.grasp_score import GraspScore, Ranked, ranked
 from dexctl.sim.grasp_search import GraspSearch
+from dexctl.sim.no_grasp import explained
 from dexctl.sim.objects import MESH
 from dexctl.sim.scene import Scene
 from dexctl.sim.settle import SettledGrasp, settle
@@ -130,6 +131,8 @@ def suggest(
     }  # fmt: skip
     checks.count("count", count)
     checks.count("tries", tries)
+    if object_size is not None:
+        checks.positive("object_size", object_size)
     wanted = checks.vector("twist", twist, 6)
     if not wanted.any():
         raise InvalidInput("twist is all zero; expected the direction in which to move the object")
@@ -138,7 +141,7 @@ def suggest(
     if best is None or not len(best.score):
         raise SimulationError(
             f"{hand.name}: no place, size and posture found in which three fingertips touch a "
-            f"{name} with palm and links clear of it; give a grasp_centre and object_size to try"
+            f"{name} with palm and links clear of it; {explained(search)}"
         )
     held: list[SuggestedGrasp] = []
     failure: SettleFailure | None = None

@@ -158,6 +158,21 @@ class Workspace:
         free, spots, normals = free[flat], spots[flat], normals[flat]
         return Touches(near[free], spots @ turn.T + centre, -normals @ turn.T, clearance[free])
 
+    def approach(self, finger: int, shape: Shape, centre: Floats, turn: Floats) -> float:
+        """How near a fingertip comes to the object in any posture, 0 where it touches [m].
+
+        Args:
+            finger: which.
+            shape: of the object.
+            centre: where the object is ``(3,)`` [m].
+            turn: its rotation ``(3, 3)``.
+        """
+        tip = self._tips[finger]
+        if not len(tip.radius):
+            return np.inf
+        gap = shape.bound((tip.centres - centre) @ turn) - tip.radius
+        return max(0.0, float(gap.min()))
+
     def jacobian(self, finger: int, touches: Touches) -> Floats:
         """What the finger's own joints do to its contact points, ``(k, 3, n)``."""
         return jacobian_at(self._configuration, finger, touches.posture, touches.position)

@@ -14,7 +14,7 @@ from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import Switch, given
 from dexctl.controllers import label
 from dexctl.exceptions import InvalidInput, MissingExtra
-from dexctl.settings import NESTED, absolute, difference, to_plain
+from dexctl.settings import NESTED, difference, to_plain
 from learning.config import TrainConfig, recipe
 
 if TYPE_CHECKING:
@@ -64,7 +64,6 @@ class Train:
 
         config, new = self.config, False
         if self.resume is None:
-            config = absolute(config, Path.cwd())  # it may be resumed from another folder
             config.env.scene.check_objects()
             wanted = (self.out or self._folder()).expanduser()
             new = not wanted.exists()

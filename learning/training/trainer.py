@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from dexctl.exceptions import DexctlError, InvalidInput
-from dexctl.settings import difference, from_plain, to_plain
+from dexctl.settings import absolute, difference, from_plain, to_plain
 from dexctl.sim.grasp_states import GraspStates
 from learning import policies
 from learning.algorithms.base import Transitions
@@ -57,11 +57,15 @@ def train(
 ) -> dict[str, Any]:
     """Train from the beginning; what `resume` returns.
 
+    Files that the configuration names are written down with their absolute paths, so that the run
+    and its policy are found from any folder.
+
     Raises:
         InvalidInput: the folder holds a run already, or another process is at work in it.
     """
     folder = RunFolder(path)
     folder.check_new()
+    config = absolute(config, Path.cwd())
     # what is wrong with the configuration shows before a file is written
     trainer = Trainer(config, folder, report, remark)
     try:

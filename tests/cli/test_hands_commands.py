@@ -12,9 +12,16 @@ import pytest
 import dexctl
 from dexctl.cli import main
 from dexctl.cli.hand_checks import check_hand
+from dexctl.exceptions import SimulationError
 from dexctl.hand_config import HandConfig, HeldObject
+from dexctl.sim.offscreen import opengl_backend
 
 RING = Path(__file__).resolve().parents[1] / "hands" / "ring.urdf"
+try:
+    opengl_backend()
+    PICTURES = 4  # of the hand by itself
+except SimulationError:
+    PICTURES = 0
 
 
 def test_add_without_a_grasp(
@@ -24,6 +31,10 @@ def test_add_without_a_grasp(
     assert main(["hands", "add", str(RING), "--out", "mine.toml", "--no-grasp", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["fingertips"] == [f"f{i}_tip" for i in range(1, 6)]
+    # the hand by itself, stretched and open, from two sides
+    drawn = [Path(one) for one in found["pictures"] if one.endswith(".png")]
+    assert len(drawn) == PICTURES
+    assert all("the_hand" in one.name and one.is_file() for one in drawn)
     config = HandConfig.read("mine.toml")
     assert config.palm.axis == (1.0, 0.0, 0.0) and config.name == "mine"
     assert "# Proposed by `dexctl hands add ring.urdf`" in Path("mine.toml").read_text()
@@ -91,3 +102,27 @@ def test_the_list_still_has_its_own_command(capsys: pytest.CaptureFixture[str]) 
     listed = json.loads(capsys.readouterr().out)
     assert main(["hands", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == listed
+
+
+def test_joints_of_a_urdf_are_counted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ring = HandConfig(description=RING, fingertips={"f1_tip": (0.0, 0.0, 0.0)})
+    monkeypatch.setattr("dexctl.hands.names", lambda: ("ring",))
+    monkeypatch.setattr("dexctl.hands.config", lambda name: ring)
+    assert main(["hands", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["hands"]["ring"]["joints"] == 15
+    assert main(["hands"]) == 0
+    assert "joints in file" in capsys.readouterr().out
+
+
+def test_where_no_place_is_found_the_hand_is_drawn_and_each_fingertip_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = f"hands add {RING} --object cube --object-size 5 --turning.grasps 0 --json"
+    assert main(words.split()) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert sum(one.endswith(".png") for one in found["pictures"]) == PICTURES
+    assert all(f"f{i}_tip " in found["failure"] for i in range(1, 6))
+    assert "the palm " in found["failure"] and "smaller object_size" in found["failure"]

@@ -124,3 +124,13 @@ def test_broken_values_of_an_mjcf(tmp_path: Path, what: str, value: str) -> None
     with pytest.raises(HandModelError, match=r"h\.xml: ") as caught:
         HandModel.from_mjcf(path, ["tip"])
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("attribute", ["effort", "velocity"])
+def test_limits_of_motors_are_not_negative(tmp_path: Path, attribute: str) -> None:
+    path = chain(tmp_path / "chain.urdf", 3)
+    path.write_text(path.read_text().replace(f'{attribute}="1"', f'{attribute}="-1"', 1))
+    with pytest.raises(HandModelError, match=f"joint 'j0' has {attribute}=-1 in <limit>; expected"):
+        HandModel.from_urdf(path, ["l2"])
+    path.write_text(path.read_text().replace(f'{attribute}="-1"', f'{attribute}="0"', 1))
+    assert getattr(HandModel.from_urdf(path, ["l2"]), attribute)[0] == float("inf")  # not known

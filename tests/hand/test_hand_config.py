@@ -10,6 +10,8 @@ import pytest
 
 import dexctl
 from dexctl import HandModel, HandModelError, InvalidInput, UnknownName
+from dexctl.cli import main
+from dexctl.cli.hands import describe
 from dexctl.hand_config import (
     Coupling,
     HandConfig,
@@ -189,11 +191,14 @@ def test_other_packages_add_hands(
             self.name, self.value, self.found = name, f"theirs:{name}", found
 
         def load(self) -> object:
+            if isinstance(self.found, Exception):
+                raise self.found
             return self.found
 
     path = toml(tmp_path, "")
     made = HandConfig(description=two, name="made", fingertips=TIPS)
     points = [Point("by_path", path), Point("made", made), Point("wrong", 3), Point("dex5", path)]
+    points.append(Point("gone", ImportError("No module\nnamed 'theirs'")))
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
     registry._added.cache_clear()
     try:
@@ -202,5 +207,40 @@ def test_other_packages_add_hands(
         assert dexctl.hands.load("dex5").nq == 15  # dexctl's own comes first
         with pytest.raises(HandModelError, match="theirs:wrong is 3; expected the path"):
             dexctl.hands.load("wrong")
+        said = "'gone' cannot be loaded from theirs:gone: ImportError: No module named 'theirs'"
+        with pytest.raises(HandModelError, match=said):
+            dexctl.hands.load("gone")
+        listed = {name: describe(name) for name in dexctl.hands.names()}
+        assert listed["gone"]["files"] == listed["wrong"]["files"] == "broken"
+        assert said in listed["gone"]["description"]
+        assert listed["by_path"]["joints"] == 4
+        assert main(["hands"]) == 0
     finally:
         registry._added.cache_clear()
+
+
+@pytest.mark.parametrize("hand", [None, 5, "<mujoco>" + 300 * "<body/>" + "</mujoco>", "a\n.xml"])
+def test_what_is_neither_a_name_nor_a_path(hand: object) -> None:
+    with pytest.raises(InvalidInput, match=r"hand is .*; expected a name \(dex5.*path") as caught:
+        HandModel.load(hand)  # type: ignore[arg-type]
+    assert len(str(caught.value)) < 300 and "\n" not in str(caught.value)
+    with pytest.raises(HandModelError, match="no such file"):
+        HandModel.load(300 * "a" + ".xml")
+
+
+@pytest.mark.parametrize("posture", ["open", "grasp"])
+def test_postures_are_finite(two: Path, tmp_path: Path, posture: str) -> None:
+    said = rf"postures\.{posture}\.a_j1 is nan; expected a finite number"
+    with pytest.raises(HandModelError, match=said):
+        HandModel.load(toml(tmp_path, f"[postures.{posture}]\na_j1 = nan"))
+    with pytest.raises(HandModelError, match="open.a_j1 is 'far'; expected"):
+        PostureConfig(open={"a_j1": "far"})  # type: ignore[dict-item]
+    with pytest.raises(InvalidInput, match="angle of joint 'a_j1' is nan; expected a finite"):
+        HandModel.load(toml(tmp_path, "")).posture({"a_j1": np.nan})
+
+
+def test_what_is_no_setting_is_not_among_the_known(two: Path, tmp_path: Path) -> None:
+    for line in ("nam = 'a'", "source = 'a.toml'"):
+        with pytest.raises(UnknownName) as caught:
+            HandModel.load(toml(tmp_path, line))
+        assert "source" not in caught.value.known and "fingertips" in caught.value.known

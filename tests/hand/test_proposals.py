@@ -132,7 +132,9 @@ def test_two_hands_in_one_file(tmp_path: Path) -> None:
     path = tmp_path / "both.urdf"
     right, left = urdf(tmp_path, "r_", "0 -0.3 0"), urdf(tmp_path, "l_", "0 0.3 0")
     path.write_text(f"<robot name='both'><link name='world'/>{right}{left}</robot>")
-    with pytest.raises(HandModelError, match="2 hands, below 'r_.*' and 'l_.*--base r_"):
+    with pytest.raises(
+        HandModelError, match="2 hands, below 'r_.*' and 'l_.*dexctl hands add both.urdf --base r_"
+    ):
         propose(path)
     found = propose(path, base="l_palm")
     assert list(found.config.fingertips) == ["l_f0_end", "l_f1_end", "l_f2_end", "l_t_end"]
@@ -147,6 +149,62 @@ def test_a_file_without_geometry_says_what_to_do(tmp_path: Path) -> None:
     )
     with pytest.raises(HandModelError, match="no end of the tree carries geometry.*fingertips"):
         propose(path)
+
+
+def mjcf(folder: Path, base: str = "", joint: str = 'type="hinge" axis="0 1 0"') -> Path:
+    """Three fingers of two joints, the second of the first one given; a ball that lies about."""
+    fingers = "".join(
+        f'<body name="f{i}" pos="0 {0.04 * i} 0.05"><joint name="a{i}" axis="0 1 0" range="0 90"/>'
+        '<geom type="box" size=".006 .006 .02" pos="0 0 .02"/>'
+        f'<body name="f{i}_end" pos="0 0 .04"><joint name="b{i}" {other}/>'
+        f'<geom type="box" size=".006 .006 .02" pos="0 0 .02"/><site name="t{i}" pos="0 .002 .03"/>'
+        "</body></body>"
+        for i, other in enumerate((joint, *2 * ('axis="0 1 0" range="0 90"',)))
+    )
+    path = folder / "three.xml"
+    path.write_text(
+        f'<mujoco><worldbody><body name="palm">{base}<geom size=".01"/>{fingers}</body>'
+        '<body name="toy" pos="1 0 0"><freejoint name="toy"/><geom size=".02"/></body>'
+        "</worldbody></mujoco>"
+    )
+    return path
+
+
+def test_joints_that_fingers_cannot_have_are_named(tmp_path: Path) -> None:
+    assert len(propose(mjcf(tmp_path)).config.fingertips) == 3  # the toy is not in the way
+    with pytest.raises(HandModelError, match="'f0_end' moves on the ball joint 'b0'; "):
+        propose(mjcf(tmp_path, joint='type="ball"'))
+    with pytest.raises(HandModelError, match="'f0_end' moves on the ball joint 'b0'; "):
+        dexctl.hands.load(mjcf(tmp_path, joint='type="ball"'))
+    with pytest.raises(HandModelError, match="fixed base; .*f2_end: moves on the free joint 'fly'"):
+        propose(mjcf(tmp_path, base='<freejoint name="fly"/>'))
+    path = tmp_path / "floating.urdf"
+    text = urdf(tmp_path).replace('name="wrist" type="revolute"', 'name="wrist" type="floating"')
+    path.write_text(f"<robot name='floating'>{text}</robot>")
+    with pytest.raises(HandModelError, match="moves on the floating joint 'wrist'"):
+        propose(path)
+
+
+def test_sites_as_fingertips(tmp_path: Path) -> None:
+    found = propose(mjcf(tmp_path), ["t1", "f0_end", "t2"])
+    assert found.config.fingertips["t1"] == (0.0, 0.0, 0.0)
+    assert "a site, which is the tip itself" in found.reasons["fingertips"]
+    hand = found.config.build()
+    assert hand.fingertip_bodies == ("f1_end", "f0_end", "f2_end")
+    np.testing.assert_allclose(hand.fingertip_offsets[0], [0, 0.002, 0.03])
+
+
+@pytest.mark.parametrize(
+    ("tips", "said"),
+    [
+        (["f0_end", "f1_end", "f0_end"], "the fingertip 'f0_end' is named twice"),
+        (["f0_end", "t_end", "f0_frame"], "'f0_end' and 'f0_frame' move as one; name one for each"),
+        (["arm", "f1_end"], "no joint moves the fingertip 'arm'"),
+    ],
+)
+def test_fingertips_that_are_none(tips: list[str], said: str, hand_file: Path) -> None:
+    with pytest.raises(HandModelError, match=f"mine.urdf: .*{said}"):
+        propose(hand_file, tips)
 
 
 @pytest.mark.parametrize("hand", ["dex5", "four_fingers"])

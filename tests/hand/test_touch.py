@@ -241,3 +241,28 @@ def test_a_bad_saved_past(hand: HandModel) -> None:
         JointTouch(hand, 3.0).load_state_dict({"past": {"q": np.zeros(3)}})
     with pytest.raises(InvalidInput, match="damping is -1"):
         JointTouch(hand, 3.0, -1.0)
+
+
+def test_what_joint_touch_refuses(hand: HandModel) -> None:
+    for period in (0, -0.1, np.nan, np.inf, "fast"):
+        with pytest.raises(InvalidInput, match="control_period is .*; expected seconds above 0"):
+            JointTouch(hand, 1.0, control_period=period)  # type: ignore[arg-type]
+    q = np.zeros(hand.nq)
+    wrong: Any = {}
+    for made in (
+        lambda: JointTouch(hand, 1.0, config=wrong),
+        lambda: GraspState.from_joint_torques(hand, q, q, 1.0, config=wrong),
+        lambda: GraspState.from_binary_touch(hand, q, q, [True] * 5, config=wrong),
+    ):
+        with pytest.raises(InvalidInput, match="config is {}; expected a TouchConfig, or None"):
+            made()
+    name: Any = "dex5"
+    for made in (
+        lambda: JointTouch(name, 1.0),
+        lambda: GraspState.from_joint_torques(name, q, q, 1.0),
+        lambda: GraspState.from_binary_touch(name, q, q, [True] * 5),
+    ):
+        with pytest.raises(InvalidInput, match="hand is 'dex5'; expected a HandModel"):
+            made()
+    with pytest.raises(InvalidInput, match="stiffness is .*expected finite numbers, one or"):
+        JointTouch(hand, ["hard"])

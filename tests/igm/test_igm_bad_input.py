@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dexctl import InGraspManipulation
+from dexctl import ContactSwitch, CoordinatedGait, InGraspManipulation
 from dexctl.exceptions import InvalidInput
 from dexctl.igm import InGraspManipulationConfig
 
@@ -131,3 +131,18 @@ def test_a_state_of_another_hand(dex5, make_hand, bent, grasp_of):
     state = grasp_of(hand, bent(hand, 0))
     with pytest.raises(InvalidInput, match="6 joints and 2 fingers; the hand has 15 joints and 5"):
         InGraspManipulation(dex5).act(state)
+
+
+def test_a_state_that_is_none(dex5):
+    for controller in (InGraspManipulation(dex5), ContactSwitch(dex5), CoordinatedGait(dex5)):
+        for state in (None, {}):
+            with pytest.raises(InvalidInput, match="state is .*; expected a GraspState"):
+                controller.act(state)
+
+
+def test_keywords_are_told_once(dex5):
+    wrong: dict[str, Any] = {"foo": 1}
+    with pytest.raises(InvalidInput) as caught:
+        ContactSwitch(dex5, **wrong)
+    told = str(caught.value).partition("known keywords: ")[2].split(", ")
+    assert "axis" in told and len(told) == len(set(told))

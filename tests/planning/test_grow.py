@@ -18,6 +18,7 @@ from dexctl.planning import (
     FollowedEdges,
     GoalOrientations,
     GraspSampling,
+    Kinematic,
     Metric,
     Nodes,
     Progress,
@@ -258,3 +259,17 @@ def test_nodes_are_rows(small: Tree) -> None:
     np.testing.assert_array_equal(again.q, nodes.q)
     with pytest.raises(ValueError, match="read-only"):
         small.rotation[0] = 1.0
+
+
+def test_the_hand_of_a_tree_is_found_from_another_folder(
+    cylinder: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cylinder.hand.config.write(tmp_path / "mine.toml")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    config = SceneConfig(hand="mine.toml", object=("cylinder",))
+    scene = Scene.build("mine.toml", "cylinder")
+    grow(scene, Kinematic(), nodes=3, seed=1, path="tree.npz", scene_config=config)
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    hand = Tree.load(tmp_path / "tree.npz").header.build_scene().hand
+    assert hand.config.source == tmp_path.resolve() / "mine.toml"

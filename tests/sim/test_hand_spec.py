@@ -319,6 +319,9 @@ def test_a_tendon_over_joints_that_nothing_couples_says_what_to_write(changed_de
     hand = tendon_hand(changed_dex5, actuator, other)
     with pytest.raises(SimulationError, match=r"'J0' drives f1_flexion1 and f1_flexion2 together"):
         Scene.build(hand)
+    nameless = tendon_hand(changed_dex5, actuator.replace('name="J0" ', ""), other)
+    with pytest.raises(SimulationError, match=r"actuator \d+, without a name, drives f1_flexion1"):
+        Scene.build(nameless)
     own = replace(hand.config, servos=ServoConfig(stiffness=3.0)).build()
     assert Scene.build(own).model.nu == 15
 

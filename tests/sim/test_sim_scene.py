@@ -12,7 +12,9 @@ import pytest
 
 from dexctl import HandModel, hands
 from dexctl.exceptions import HandModelError, InvalidInput, SimulationError, UnknownName
-from dexctl.sim import Scene, object_names
+from dexctl.hand_config import HeldObject, PostureConfig
+from dexctl.sim import BatchSimulator, Scene, object_names
+from dexctl.sim.settle_failure import SettleFailure
 
 
 @pytest.mark.parametrize("gravity", ["up", "down"])
@@ -161,3 +163,75 @@ def test_menagerie_failures_are_one_line(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert "\n" not in str(caught.value)
     with pytest.raises(HandModelError, match="is not there"):
         hands.load("wonik_allegro", folder=tmp_path)
+
+
+def test_an_object_that_is_not_held_where_another_is_gets_its_own_place(
+    four_fingers: HandModel,
+) -> None:
+    own = four_fingers.config.object
+    assert own.centre is not None and own.size is not None
+    x, y, z = own.centre
+    held = HeldObject(centre=(x, y, z + 0.15), size=own.size, shape="cube")
+    config = replace(four_fingers.config, description=four_fingers.path)
+    high = replace(config, object=held, postures=PostureConfig()).build()
+    with pytest.raises(SettleFailure):  # what the toml says of its own object holds
+        _ = Scene.build(high, "cube").settled
+    with pytest.raises(SettleFailure):  # and so does what the owner says
+        _ = Scene.build(high, "sphere", grasp_centre=held.centre).settled
+    scene = Scene.build(high, "sphere")
+    assert not any("suggested" in note for note in scene.notes)
+    settled = scene.settled
+    assert "not held where the hand's toml holds a cube: grasp suggested" in scene.notes[-1]
+    assert scene.object_width == own.size and scene.grasp_centre[2] < z + 0.1
+    assert np.linalg.norm(settled.qpos[scene.object_qpos][:3] - scene.grasp_centre) < 0.015
+    np.testing.assert_array_equal(scene.spec.body("object").pos, scene.grasp_centre)
+    wider = Scene.build(high, "sphere", object_size=1.05 * own.size)
+    wider.hold_as(scene)
+    assert wider.settled is not None and not any("suggested" in note for note in wider.notes)
+    np.testing.assert_array_equal(wider.grasp_centre, scene.grasp_centre)
+    with BatchSimulator(scene, 2, threads=1) as sim:
+        sim.reset(seed=0)
+        assert (sim.read().in_contact.sum(axis=-1) >= 3).all()
+
+
+def test_what_settles_is_not_searched_for(dex5: HandModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("no grasp is to be searched")
+
+    monkeypatch.setattr("dexctl.sim.suggest.suggested", never)
+    scene = Scene.build(dex5, "sphere")
+    assert scene.settled is not None
+    assert scene.grasp_centre.tolist() == list(dex5.config.object.centre or ())
+    with pytest.raises(SettleFailure, match="it weighs"):
+        _ = Scene.build(dex5, "sphere", object_mass=20.0).settled
+
+
+def test_a_file_by_its_path(dex5: HandModel, tmp_path: Path) -> None:
+    dex5.config.write(tmp_path / "mine.toml")
+    scene = Scene.build(tmp_path / "mine.toml", "cube")
+    assert scene.hand.name == "dex5" and scene.object_width == dex5.config.object.size
+    with pytest.raises(InvalidInput, match="hand is 5; expected a name"):
+        Scene.build(5, "cube")  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="unknown object 'anvil'"):
+        Scene.suggest_grasp(tmp_path / "mine.toml", "anvil")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"open_q": {"f1_roll": np.nan}}, "angle of joint 'f1_roll' is nan; expected a finite"),
+        ({"grasp_q": {"f1_roll": "far"}}, "angle of joint 'f1_roll' is 'far'; expected a finite"),
+        ({"open_q": "far"}, "open_q is 'far'; expected 15 finite numbers"),
+        ({"grasp_centre": "here"}, "grasp_centre is 'here'; expected 3 finite numbers"),
+        ({"object_mass": "1 kg"}, "object_mass is '1 kg'; expected a finite number above 0"),
+    ],
+)
+def test_numbers_that_are_none(given: dict[str, object], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        Scene.build("dex5", "cube", **given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("size", [-1, 0, np.nan])
+def test_a_size_to_search_a_grasp_for(size: float) -> None:
+    with pytest.raises(InvalidInput, match="object_size is .*; expected a finite number above 0"):
+        Scene.suggest_grasp("dex5", "cube", object_size=size)

@@ -243,3 +243,26 @@ def test_couplings_are_followed(tmp_path: Path, dex5: HandModel) -> None:
     q = hand.posture({"f1_flexion1": 0.9})
     tip = balls.centres(q[None])[0, balls.tip & (balls.finger == 0)].mean(axis=0)
     np.testing.assert_allclose(tip, hand.fingertip_positions(q)[0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"grasp_centre": (1, 1, 1)}, r"f1_tip 8\d\d mm away, .*grasp_centre nearer to those"),
+        ({"object_size": 5.0}, r"the palm \d+ mm inside it; take a smaller object_size"),
+        ({"grip": 1000.0}, "f5_tip too weak; take less grip than 1000 N"),
+    ],
+)
+def test_where_there_is_no_place_it_says_how_near_each_came(given: dict, said: str) -> None:
+    with pytest.raises(SimulationError, match=f"no place, size and posture found.*{said}"):
+        Scene.suggest_grasp("dex5", "cube", **given)
+
+
+def test_the_nearest_approach_is_that_of_the_postures(bare: HandModel) -> None:
+    sphere = Scene.build(bare, "sphere", object_size=1.0, grasp_centre=(0, 0, 10))
+    space, ball = search_of(bare).workspace, Shape.of_body(sphere.model)
+    ball, away, near = ball.scaled(0.02), np.array([0.0, 0.0, 1.0]), space.tips[7, 2]
+    assert space.approach(2, ball, near, np.eye(3)) == 0.0
+    found = space.approach(2, ball, away, np.eye(3))
+    rough = np.linalg.norm(space.tips[:, 2] - away, axis=-1).min() - 0.01
+    assert rough - 0.06 < found < rough + 0.01

@@ -50,6 +50,11 @@ def test_each_has_its_card(name: str, hand_of: Hands) -> None:
     assert {"python", "torch", "mujoco"} <= set(card["versions"])
     assert card["trained"]["seed"] >= 0
     assert card["figures"]["return"] > 0
+    assert card["hand"]["name"] == card["spec"]["hand"]  # so that another one is remarked on
+    if card["hand"]["name"] == "dex5":
+        assert card["hand"]["sha256"] == dexctl.hands.load("dex5").digest
+    else:
+        assert len(card["hand"]["sha256"]) == 64
     assert card == json.loads(json.dumps(shipped(name, hand_of).card))
 
 

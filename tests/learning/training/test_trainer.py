@@ -19,6 +19,7 @@ pytest.importorskip("torch")
 
 import torch
 
+from dexctl import hands
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import absolute, changed
 from learning import policies
@@ -394,3 +395,18 @@ def test_networks_that_do_not_fit(
     with pytest.raises(InvalidInput, match=text):
         train(config, tmp_path / "second")
     assert not (tmp_path / "second").exists()
+
+
+def test_the_hand_of_a_run_is_found_from_another_folder(
+    small: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hands.config("dex5").write(tmp_path / "mine.toml")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    train(small(hand="mine.toml", steps=120), tmp_path / "run")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    mine = str(tmp_path.resolve() / "mine.toml")
+    assert RunFolder(tmp_path / "run").config().env.scene.hand == mine
+    policy = policies.load(tmp_path / "run" / "policy.npz")
+    assert str(policy.hand.config.source) == policy.spec.hand == mine
+    assert policy.card["trained"]["env"]["scene"]["hand"] == mine
