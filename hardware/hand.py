@@ -335,6 +335,11 @@ class ServoHand:
         return state
 
     @property
+    def feels(self) -> bool:
+        """Whether anything tells of touch: fingertips, or the torques of the joints."""
+        return self.joint_touch is not None or not isinstance(self.tactile, NoTactile)
+
+    @property
     def touch(self) -> TactileReading:
         """What the last state had of the fingertips."""
         return self._touch

@@ -17,6 +17,7 @@ import numpy as np
 from dexctl import Controller
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
+from hardware.closing import Closing
 from hardware.exceptions import BusError, PortLost, tell_torque
 from hardware.hand import ServoHand
 from hardware.log import LogWriter
@@ -89,7 +90,8 @@ class Runner:
             seconds: how long the controller is asked.
             approach: set-points ``(d,)`` [rad] to go to first, at the limits' speed, such as a
                 grasp around an object that somebody holds in place; default: start where the
-                joints stand.
+                joints stand. For a controller that goes by touch, fingers that do not press on
+                the object there go on until they do (`hardware.closing`).
 
         Raises:
             InvalidInput: a bad argument, or a joint out of its range; the torque is off.
@@ -133,6 +135,10 @@ class _Run:
         self.ticker = Ticker(self.hand.control_period)
         self.start = time.monotonic()
         self.run_until = np.inf
+        self.arrived_at: float | None = None
+        feels = runner._needs_tactile and approach is not None and self.hand.feels
+        period = self.hand.control_period
+        self.closing = Closing(self.hand.hand, control_period=period) if feels else None
         self.start_at: float | None = None
         self.release_at: float | None = None
         self.done = False
@@ -203,9 +209,12 @@ class _Run:
         """Send what is to be sent in this state."""
         hand = self.hand
         if self.state is State.ARMED:
-            there = self.approach is None or np.abs(self.approach - hand.q_target).max() < 1e-6
-            if there and self.approach is not None and self.start_at is None:
-                self.start_at = time.monotonic() + SETTLE_SECONDS
+            there = self.approach is None or self.arrived_at is not None
+            if not there and np.abs(self.approach - hand.q_target).max() < 1e-6:
+                there, self.arrived_at = True, time.monotonic()
+                self.start_at = self.arrived_at + SETTLE_SECONDS
+            if there and self.close(sample):
+                return
             if there and (self.start_at is None or time.monotonic() >= self.start_at):
                 self.happen(Event.START, type(self.runner._controller).__name__)
                 self.run_until = time.monotonic() + self.seconds
@@ -224,6 +233,20 @@ class _Run:
             self.ask_controller(sample)
         if self.state is not State.RUN or self.command is None:
             hand.hold()
+
+    def close(self, sample: JointSample) -> bool:
+        """Let fingers that do not feel the object go on; whether any still does."""
+        if self.closing is None or self.closing.done or self.arrived_at is None:
+            return False
+        if time.monotonic() < self.arrived_at + 0.5 * SETTLE_SECONDS:
+            return False  # the servos are late: first they are to get there
+        change = self.closing(self.hand.state(sample))
+        if self.closing.done:
+            return False
+        self.hand.write(self.hand.q_target + change)
+        self.monitor.at_limits()
+        self.start_at = time.monotonic() + SETTLE_SECONDS
+        return True
 
     def ask_controller(self, sample: JointSample) -> None:
         state = self.hand.state(sample)

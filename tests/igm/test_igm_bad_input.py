@@ -137,7 +137,7 @@ def test_a_state_that_is_none(dex5):
     for controller in (InGraspManipulation(dex5), ContactSwitch(dex5), CoordinatedGait(dex5)):
         for state in (None, {}):
             with pytest.raises(InvalidInput, match="state is .*; expected a GraspState"):
-                controller.act(state)
+                controller.act(state)  # type: ignore[arg-type]
 
 
 def test_keywords_are_told_once(dex5):
