@@ -99,6 +99,8 @@ def test_ctrl_c_in_the_first_seconds_is_one_line(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", program, "plan", *words],
         stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # a shell lets what it starts in the background ignore it
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     ) as run:  # fmt: skip
         children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
         if not children.exists():
@@ -107,7 +109,11 @@ def test_ctrl_c_in_the_first_seconds_is_one_line(tmp_path: Path) -> None:
         while run.poll() is None and len(children.read_text().split()) < 3:
             time.sleep(0.02)  # the two, and multiprocessing's own
         os.killpg(run.pid, signal.SIGINT)
-        said = run.communicate(timeout=100)[1]
+        try:
+            said = run.communicate(timeout=100)[1]
+        except subprocess.TimeoutExpired:
+            os.killpg(run.pid, signal.SIGKILL)
+            raise
     assert run.returncode == 130 and "Traceback" not in said
     last = said.strip().splitlines()[-1]
     if (tmp_path / "tree.npz").exists():
