@@ -13,7 +13,7 @@ import numpy as np
 
 from dexctl import HandModel
 from dexctl.exceptions import InvalidInput
-from dexctl.state import Floats, GraspState
+from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import check_numbers
 
 _DAMPING = 0.01  # m, of the pseudo-inverse: far below the length of a finger
@@ -54,11 +54,13 @@ class Closing:
         self.travelled = np.zeros(hand.n_fingers)
         self.done = False
 
-    def __call__(self, state: GraspState) -> Floats:
+    def __call__(self, state: GraspState, unfelt: Bools | None = None) -> Floats:
         """The change of set-points for this control period, ``(d,)`` [rad].
 
         Args:
             state: of one hand, ``()``.
+            unfelt: fingers of which nothing is known now, ``(m,)``; they stay where they are, since
+                one whose sensor is silent would press as hard as it can.
 
         Raises:
             InvalidInput: a batch.
@@ -68,6 +70,8 @@ class Closing:
         hand = self.hand
         presses = state.in_contact & (state.contact_force >= self.force)
         going = ~presses & (self.travelled < self.travel - 1e-9)
+        if unfelt is not None:
+            going &= ~unfelt
         self.done = not going.any()
         if self.done:
             return np.zeros(hand.nq)

@@ -240,7 +240,8 @@ class _Run:
             return False
         if time.monotonic() < self.arrived_at + 0.5 * SETTLE_SECONDS:
             return False  # the servos are late: first they are to get there
-        change = self.closing(self.hand.state(sample))
+        state = self.hand.state(sample)
+        change = self.closing(state, self.hand.touch.stale)
         if self.closing.done:
             return False
         self.hand.write(self.hand.q_target + change)

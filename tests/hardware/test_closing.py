@@ -58,6 +58,13 @@ def test_it_ends_where_all_press_or_have_gone_far_enough(
     np.testing.assert_allclose(closing.travelled, [0, 0, 0, 0, 0.005])
 
 
+def test_a_finger_whose_sensor_is_silent_stays(dex5: dexctl.HandModel, settled: GraspState) -> None:
+    closing, unfelt = Closing(dex5, control_period=0.05), np.arange(5) == 1
+    change = closing(felt(settled, [2.0, 0.0, 0.0, 2.0, 2.0]), unfelt)
+    assert not change[dex5.moves[1]].any() and change[dex5.moves[2]].any()
+    assert not closing(felt(settled, [2.0, 0.0, 2.0, 2.0, 2.0]), unfelt).any() and closing.done
+
+
 def test_bad_input(dex5: dexctl.HandModel, settled: GraspState) -> None:
     with pytest.raises(InvalidInput, match="travel is -1; expected"):
         Closing(dex5, control_period=0.05, travel=-1)
