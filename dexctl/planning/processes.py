@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import signal
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -92,7 +93,8 @@ def grow_in_processes(
         raise
     finally:
         for worker in workers:
-            worker.join()
+            if worker.pid is not None:  # it was started
+                worker.join()
         tree, grown = merge_parts(parts, target)
     return what_grew(tree, grown, jobs, "processes", "" if errors.empty() else errors.get())
 
@@ -106,11 +108,20 @@ def _no_interrupt() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    # a blocked signal stays blocked in a process that is started, a handler does not; here only
+    # a handler holds it back, since any other thread takes what is blocked in this one alone
+    held: list[int] = []
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number)) if main else None
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if handler is not None:
+            signal.signal(signal.SIGINT, handler)
+    if held and callable(handler):
+        handler(held[0], None)
 
 
 def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:

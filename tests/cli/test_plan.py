@@ -114,7 +114,7 @@ def test_ctrl_c_in_the_first_seconds_is_one_line(tmp_path: Path) -> None:
         except subprocess.TimeoutExpired:
             os.killpg(run.pid, signal.SIGKILL)
             raise
-    assert run.returncode == 130 and "Traceback" not in said
+    assert run.returncode == 130 and "Traceback" not in said, said
     last = said.strip().splitlines()[-1]
     if (tmp_path / "tree.npz").exists():
         assert "with --resume goes on" in last and len(Tree.load(tmp_path)) >= 1

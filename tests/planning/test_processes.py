@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
+import threading
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -13,7 +16,7 @@ import pytest
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_in_processes
 from dexctl.planning.parts import part_files
-from dexctl.planning.processes import _Shown, summed
+from dexctl.planning.processes import _no_interrupt, _Shown, summed
 from dexctl.sim import Scene, SceneConfig
 
 
@@ -88,3 +91,29 @@ def test_growing_stops_where_progress_says_so(cylinder: Scene) -> None:
         cylinder, RandomActions(batch=4), nodes=100, seed=0, threads=1, progress=lambda _: True
     )
     assert tree.header.expansions == 4
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked")
+def test_another_thread_does_not_let_ctrl_c_through() -> None:
+    """A signal to the process goes to any thread that has not blocked it."""
+    over, ended = threading.Event(), list[bool]()
+
+    def interrupted() -> None:
+        with _no_interrupt():
+            os.kill(os.getpid(), signal.SIGINT)
+            _ = over.wait(0.05)
+            ended.append(True)
+
+    other = threading.Thread(target=over.wait)
+    other.start()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
+        assert ended and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        _ = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        interrupted()  # as a shell lets what it starts in the background
+    finally:
+        over.set()
+        other.join()
+        _ = signal.signal(signal.SIGINT, before)
