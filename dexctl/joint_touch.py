@@ -36,8 +36,9 @@ class JointTouch:
     Args:
         hand: the hand.
         stiffness: of the servos, ``(d,)`` or one number [N m/rad].
-        damping: of servos and joints, ``(d,)`` or one number [N m s/rad]. Joint speeds are
-            differences of joint positions.
+        damping: of servos and joints, ``(d,)`` or one number [N m s/rad]. Joint speeds at the end
+            of a control period are told from how far joints moved in it, where set-points change
+            once, at its beginning.
         config: thresholds and smoothing; None: the defaults.
         control_period: from one call to the next [s].
 
@@ -60,12 +61,13 @@ class JointTouch:
         self.config = touch_config(config)
         servo_torques(hand, np.zeros(hand.nq), np.zeros(hand.nq), stiffness)  # says what is wrong
         self._stiffness = np.asarray(stiffness, float)
-        self._damping = per_joint(hand, "damping", damping)
-        if not (self._damping >= 0).all():
+        drag = per_joint(hand, "damping", damping)
+        if not (drag >= 0).all():
             raise InvalidInput(f"damping is {damping}; expected N m s/rad from 0 on")
-        self._dt = control_period = number(
+        control_period = number(
             "control_period", control_period, 0.0, sys.float_info.max, "seconds above 0", above=True
         )
+        self._drag = _drag(self._stiffness, drag, control_period)
         smoothing = self.config.smoothing_time
         self._new = 1.0 if smoothing == 0 else float(-np.expm1(-control_period / smoothing))
         self._past: dict[str, np.ndarray] = {}
@@ -104,7 +106,7 @@ class JointTouch:
         fresh = past["fresh"][..., None]
         if not measured:
             moved = np.where(fresh, 0.0, state.q - past["q"])
-            torque = torque - self._damping * moved / self._dt
+            torque = torque - self._drag * moved
         smooth = np.where(fresh, torque, past["torque"] + self._new * (torque - past["torque"]))
         found = estimate_touch(
             self.hand,
@@ -161,3 +163,15 @@ class JointTouch:
         check_names("touch", past, made)
         fill("touch", made, past)
         self._past = made
+
+
+def _drag(stiffness: Floats, damping: Floats, period: float) -> Floats:
+    """Torque of damping at the end of a control period, for each radian moved in it [N m/rad].
+
+    A joint that follows a set-point by stiffness k and damping d slows down as exp(-k t / d): with
+    x = k h / d for the period h, its last speed is x / (e^x - 1) of its mean one. Where the mean is
+    taken for the last, joints that only follow seem to press.
+    """
+    with np.errstate(divide="ignore"):  # infinite without damping
+        x = stiffness * period / damping
+    return stiffness / np.expm1(np.clip(x, 1e-9, 700.0))  # where it does not overflow

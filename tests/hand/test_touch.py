@@ -201,18 +201,30 @@ def test_torques_are_smoothed(hand: HandModel) -> None:
         np.testing.assert_allclose(touch(press).contact_force, share * full)
 
 
-def test_damping_is_no_force(hand: HandModel) -> None:
+@pytest.mark.parametrize("damping", [0.02, 0.15, 3.0, 1e6])
+def test_damping_is_no_force(hand: HandModel, damping: float) -> None:
+    """Joints that slow down as exp(-k t / d) on the way to where they press as hard as they do."""
+    config, stiffness, period = TouchConfig(smoothing_time=0.0), 3.0, 0.05
+    q, torque, _ = pressing(hand, [1.0] * 5)
+    touch = JointTouch(hand, stiffness, damping, config, control_period=period)
+    still = JointTouch(hand, stiffness, damping, config)(bare(hand, q, q + torque / stiffness))
+    lead = np.linspace(-0.02, 0.02, hand.nq)  # what is left of the way
+    before = q + lead - lead * np.exp(stiffness * period / damping)
+    touch(bare(hand, before, before))
+    target = q + lead + torque / stiffness
+    np.testing.assert_allclose(
+        touch(bare(hand, q, target)).contact_force, still.contact_force, rtol=1e-5
+    )
+
+
+def test_joints_without_damping_move_freely(hand: HandModel) -> None:
     config = TouchConfig(smoothing_time=0.0)
     q, torque, _ = pressing(hand, [1.0] * 5)
-    speed = np.linspace(-0.4, 0.4, hand.nq)
-    touch = JointTouch(hand, 3.0, 0.15, config, control_period=0.05)
-    still = JointTouch(hand, 3.0, 0.15, config)(bare(hand, q, q + torque / 3.0))
-    before = q - 0.05 * speed
-    touch(bare(hand, before, before))
-    lead = (torque + 0.15 * speed) / 3.0
-    np.testing.assert_allclose(
-        touch(bare(hand, q, q + lead)).contact_force, still.contact_force, atol=1e-9
-    )
+    touch = JointTouch(hand, 3.0, 0.0, config)
+    here = bare(hand, q, q + torque / 3.0)
+    still = touch(here).contact_force
+    touch(bare(hand, q - 0.02, q - 0.02))
+    np.testing.assert_allclose(touch(here).contact_force, still)
 
 
 def test_each_hand_of_a_batch_begins_by_itself(hand: HandModel) -> None:
