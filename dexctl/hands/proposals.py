@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,9 +56,18 @@ def propose(path: str | Path, fingertips: Sequence[str] = (), base: str | None =
     description = read(path.absolute())
     found = find_fingers(description, tuple(fingertips), base)
     reasons = {"fingertips": _why_fingers(found, bool(fingertips))}
+    radii = np.array([finger.radius for finger in found.fingers])
+    bodies = {body.name for body in description.bodies}
+    inside = all(finger.body in bodies for finger in found.fingers)  # a site is the tip itself
+    if inside:
+        reasons["fingertip_radius"] = (
+            "That half-width: where nothing feels contacts, they are taken to be this far from the "
+            "tips."
+        )
     config = HandConfig(
         description=path.absolute(),
         fingertips={finger.body: _rounded(finger.offset, 4) for finger in found.fingers},
+        fingertip_radius=round(float(np.median(radii)), 4) if inside else 0.0,
         couplings={
             joint: Coupling(offset=stretched(description)[joint])
             for joint in found.trunk
@@ -72,13 +82,7 @@ def propose(path: str | Path, fingertips: Sequence[str] = (), base: str | None =
     hand = HandModel(description, config)
     palm, why = propose_palm(hand, found.fingers)
     reasons |= {f"palm.{name}": text for name, text in why.items()}
-    turned = HandConfig(
-        description=config.description,
-        fingertips=config.fingertips,
-        couplings=config.couplings,
-        palm=palm,
-    )
-    return Proposal(turned, reasons, np.array([finger.radius for finger in found.fingers]))
+    return Proposal(replace(config, palm=palm), reasons, radii)
 
 
 def closing(hand: HandModel) -> Floats:

@@ -88,6 +88,8 @@ def test_fingers_palm_and_wrist_of_a_urdf(hand_file: Path) -> None:
     assert list(found.config.fingertips) == ["f0_end", "f1_end", "f2_end", "t_end"]
     # a box of 16 mm: its half-width inside of its end, on its middle line
     np.testing.assert_allclose(found.config.fingertips["f0_end"], [0, 0, 0.04 - 0.008], atol=1e-4)
+    assert found.config.fingertip_radius == pytest.approx(0.008, abs=1e-4)  # tips are inside by it
+    assert "half-width" in found.reasons["fingertip_radius"]
     np.testing.assert_allclose(found.config.fingertips["t_end"], [0, 0, 0.03], atol=5e-3)
     assert found.config.palm.axis == (1.0, 0.0, 0.0)
     assert found.config.palm.up == (0.0, 0.0, 1.0)
@@ -189,6 +191,7 @@ def test_sites_as_fingertips(tmp_path: Path) -> None:
     found = propose(mjcf(tmp_path), ["t1", "f0_end", "t2"])
     assert found.config.fingertips["t1"] == (0.0, 0.0, 0.0)
     assert "a site, which is the tip itself" in found.reasons["fingertips"]
+    assert found.config.fingertip_radius == 0 and "fingertip_radius" not in found.reasons
     hand = found.config.build()
     assert hand.fingertip_bodies == ("f1_end", "f0_end", "f2_end")
     np.testing.assert_allclose(hand.fingertip_offsets[0], [0, 0.002, 0.03])
