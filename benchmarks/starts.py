@@ -298,7 +298,9 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
                 bool(turned >= least * FULL_TURN and sure),
             )
         )
-        for fixed, paths in (("fi", "rxr"), ("rl", "rl_paths"), ("vge", "vge_paths")):
+        for fixed, paths in (
+            ("fi", "rxr"), ("fi", "rxr_ipt"), ("rl", "rl_paths"), ("vge", "vge_paths"),
+        ):  # fmt: skip
             if fixed not in own or paths not in own:
                 continue
             ours, theirs = own[paths]["full_turn"], own[fixed]["full_turn"]

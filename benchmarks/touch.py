@@ -90,7 +90,7 @@ def scene(robot: str, name: str, palm: str, touch: Any, hand: str) -> SceneConfi
         hand=robot,
         object=(name,),
         gravity=palm,
-        object_mass=None if robot == "dex5" else LIGHT,
+        object_mass=SceneConfig.object_mass if robot == "dex5" else LIGHT,
         gear_friction=GEAR_FRICTION if real else None,
         sensing=Sensing(
             touch=touch,
