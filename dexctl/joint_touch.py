@@ -85,6 +85,7 @@ class JointTouch:
         switches: Bools | None = None,
         torque: Floats | None = None,
         mask: Bools | None = None,
+        free_torque: Floats | None = None,
     ) -> GraspState:
         """``state`` with the touch that its joints tell of; what it said of touch is not read.
 
@@ -94,6 +95,8 @@ class JointTouch:
             torque: what was measured in place of stiffness and damping, ``(..., d)`` [N m].
             mask: in which hands ``(N,)`` a control period has passed; None is all. The past of
                 the others stays as it is.
+            free_torque: what the joints need there to hold the finger itself, such as the weight of
+                its links, ``(..., d)`` [N m]; taken off. None: nothing.
         """
         if torque is None:
             torque = servo_torques(self.hand, state.q, state.q_target, self._stiffness)
@@ -107,6 +110,8 @@ class JointTouch:
         if not measured:
             moved = np.where(fresh, 0.0, state.q - past["q"])
             torque = torque - self._drag * moved
+        if free_torque is not None:
+            torque = torque - per_joint(self.hand, "free_torque", free_torque)
         smooth = np.where(fresh, torque, past["torque"] + self._new * (torque - past["torque"]))
         found = estimate_touch(
             self.hand,

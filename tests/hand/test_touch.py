@@ -217,6 +217,22 @@ def test_damping_is_no_force(hand: HandModel, damping: float) -> None:
     )
 
 
+def test_what_holds_the_finger_itself_is_no_force(hand: HandModel) -> None:
+    config = TouchConfig(smoothing_time=0.0)
+    q, torque, _ = pressing(hand, [1.0] * 5)
+    weight = np.linspace(-0.05, 0.05, hand.nq)
+    heavy = bare(hand, q, q + (torque + weight) / 3.0)
+    light = JointTouch(hand, 3.0, config=config)(bare(hand, q, q + torque / 3.0))
+    touch = JointTouch(hand, 3.0, config=config)
+    found = touch(heavy, free_torque=weight)
+    np.testing.assert_allclose(found.contact_force, light.contact_force)
+    measured = touch(heavy, torque=torque + weight, free_torque=weight)
+    np.testing.assert_allclose(measured.contact_force, light.contact_force)
+    assert not np.allclose(touch(heavy).contact_force, light.contact_force)
+    with pytest.raises(InvalidInput, match="free_torque is"):
+        touch(heavy, free_torque=np.zeros(3))
+
+
 def test_joints_without_damping_move_freely(hand: HandModel) -> None:
     config = TouchConfig(smoothing_time=0.0)
     q, torque, _ = pressing(hand, [1.0] * 5)
