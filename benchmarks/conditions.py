@@ -105,7 +105,7 @@ class Options(Settings):
 
 def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any]:
     """One row."""
-    condition = CONDITIONS[chosen]
+    condition, subject = CONDITIONS[chosen], open_subject(who)
     scene = under(SceneConfig(object=(turned,), gravity=condition.palm), *condition.names)
     scene = changed(scene, condition.changes)
     protocol = Protocol(
@@ -114,7 +114,8 @@ def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any
         seconds=condition.seconds or given.seconds,
         seed=given.seed,
     )
-    found = evaluate(open_subject(who), protocol)
+    own = subject.protocol().task.axis  # of a policy the one that it turns about
+    found = evaluate(subject, changed(protocol, {"axis": own}))
     times, held = found.survival()
     return {
         "who": who,
@@ -177,8 +178,8 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     header = ["", "Conditions", "Object", "Held", "Within 25 mm", "Rotation: median [rad]"]
     header += ["Speed [rad/s]", "Only fingertips", "Drift: median [mm]"]
     table = {
-        "title": f"Under named conditions, {given.trials} episodes of {given.seconds:g} s each, "
-        f"{given.endurance} of ten minutes",
+        "title": "Under named conditions, about the axis that a policy was trained for, "
+        f"{given.trials} episodes of {given.seconds:g} s each, {given.endurance} of ten minutes",
         "header": header,
         "rows": lines,
     }
