@@ -8,7 +8,7 @@ row.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -29,11 +29,9 @@ from common import (
 
 import dexctl
 from dexctl import controllers
-from dexctl.controller import Controller
 from dexctl.exceptions import HandModelError
 from dexctl.sim import SceneConfig, Sensing
 from dexctl.sim.sensing import TOUCHES
-from dexctl.state import GraspState
 
 ROBOTS: dict[str, tuple[str, ...]] = {
     "dex5": ("coordinated", "igm"),
@@ -65,24 +63,6 @@ class Options(Settings):
     """Which hands."""
 
 
-class Untracked(Controller):
-    """A controller whose states have no pose of the object.
-
-    Args:
-        inner: that controller.
-    """
-
-    def __init__(self, inner: Controller) -> None:
-        super().__init__(inner.hand, control_period=inner.control_period)
-        self._inner = inner
-
-    def reset(self, seed: Any = None, mask: Any = None) -> None:
-        self._inner.reset(seed, mask)
-
-    def act(self, state: GraspState) -> Any:
-        return self._inner.act(replace(state, object_position=None, object_quaternion=None))
-
-
 def scene(robot: str, name: str, palm: str, touch: Any, hand: str) -> SceneConfig:
     """What is simulated for a row."""
     real = hand == "real"
@@ -94,6 +74,7 @@ def scene(robot: str, name: str, palm: str, touch: Any, hand: str) -> SceneConfi
         gear_friction=GEAR_FRICTION if real else None,
         sensing=Sensing(
             touch=touch,
+            object_pose="unknown",
             joint_offset=OFFSET if real else 0.0,
             sensor_latency=LATENCY if real else 0.0,
         ),
@@ -159,7 +140,7 @@ def main() -> None:
             if key in done:
                 continue
             kind, how, name, palm, touch = rest
-            controller = Untracked(controllers.make(kind, hand))
+            controller = controllers.make(kind, hand)
             config = scene(robot, name, palm, touch, how)
             trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
             rows.append({**dict(zip(names, key, strict=True)), **outcome(trace)})

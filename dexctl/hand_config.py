@@ -178,6 +178,9 @@ class HandConfig:
     its frame [m]."""
     fingertip_radius: float = 0.0
     """Of the fingertips about their tip points [m]; 0: the tip points are on the surface."""
+    finger_width: float = 0.0
+    """How wide fingers are across near their tips [m]; gaits put none down nearer to another than
+    1.4 of it. 0: not known, as dex5's."""
     joints: tuple[str, ...] | None = None
     """The joints in the order of the controller board; none: finger by finger, base to tip."""
     palm: PalmConfig = field(default_factory=PalmConfig)
@@ -192,11 +195,10 @@ class HandConfig:
     def __post_init__(self) -> None:
         if not self.name:
             object.__setattr__(self, "name", self.description.stem)
-        if not (np.isfinite(self.fingertip_radius) and self.fingertip_radius >= 0):
-            raise HandModelError(
-                f"fingertip_radius is {self.fingertip_radius!r}; expected a finite number, 0 or "
-                "more"
-            )
+        for name in ("fingertip_radius", "finger_width"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise HandModelError(f"{name} is {value!r}; expected a finite number, 0 or more")
         if not self.fingertips:
             raise HandModelError("fingertips is empty; expected one body, site or link per finger")
         tips = {tip: self._offset(tip, offset) for tip, offset in self.fingertips.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -41,6 +41,9 @@ class JointTouch:
             once, at its beginning.
         config: thresholds and smoothing; None: the defaults.
         control_period: from one call to the next [s].
+        weights: torques that hold the links against gravity ``(..., 3)`` [m/s^2] at joints
+            ``(..., d)`` [rad], ``(..., d)`` [N m], such as `dexctl.sim.LinkWeights`; taken off
+            where a state has gravity and ``config.weigh_links`` is on. None: not known.
 
     Raises:
         InvalidInput: a number out of range, or of another number of joints; a hand or settings
@@ -55,6 +58,7 @@ class JointTouch:
         config: TouchConfig | None = None,
         *,
         control_period: float = 0.05,
+        weights: Callable[[Floats, Floats], Floats] | None = None,
     ) -> None:
         check_hand(hand)
         self.hand = hand
@@ -67,6 +71,7 @@ class JointTouch:
         control_period = number(
             "control_period", control_period, 0.0, sys.float_info.max, "seconds above 0", above=True
         )
+        self._weights = weights if self.config.weigh_links else None
         self._drag = _drag(self._stiffness, drag, control_period)
         smoothing = self.config.smoothing_time
         self._new = 1.0 if smoothing == 0 else float(-np.expm1(-control_period / smoothing))
@@ -96,7 +101,7 @@ class JointTouch:
             mask: in which hands ``(N,)`` a control period has passed; None is all. The past of
                 the others stays as it is.
             free_torque: what the joints need there to hold the finger itself, such as the weight of
-                its links, ``(..., d)`` [N m]; taken off. None: nothing.
+                its links, ``(..., d)`` [N m]; taken off. None: what ``weights`` says.
         """
         if torque is None:
             torque = servo_torques(self.hand, state.q, state.q_target, self._stiffness)
@@ -110,6 +115,8 @@ class JointTouch:
         if not measured:
             moved = np.where(fresh, 0.0, state.q - past["q"])
             torque = torque - self._drag * moved
+        if free_torque is None and self._weights is not None and state.gravity is not None:
+            free_torque = self._weights(state.q, state.gravity)
         if free_torque is not None:
             torque = torque - per_joint(self.hand, "free_torque", free_torque)
         smooth = np.where(fresh, torque, past["torque"] + self._new * (torque - past["torque"]))

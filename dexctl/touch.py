@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dexctl.enclosing import enclosing_centre
 from dexctl.exceptions import InvalidInput
 from dexctl.validation import check_numbers, numbers, shown
 
@@ -30,18 +31,20 @@ class TouchConfig:
     """
 
     touch_force: float = 0.4
-    """A fingertip touches from this estimated force on [N]; it must be above what gear friction
-    and the weight of the links feign."""
+    """A fingertip touches from this estimated force on [N]; it must be above what gear friction,
+    and the weight of the links where it is not taken off, feign."""
     release_force: float = 0.2
     """And until the force has fallen below this [N]."""
     lean: float = 0.0
     """How far the contact normal may lean with the estimated force, away from the direction to
-    the object's centre (the fingertips' centroid where nothing tracks the object), as a tangent.
+    the object's centre (the middle of the fingertips where nothing tracks it), as a tangent.
     0: it points to the centre."""
     nominal_force: float = 1.0
     """Of a switch that is closed, where no torque is known [N]."""
     smoothing_time: float = 0.05
     """Time constant of the low-pass on torques and joint speeds [s]; 0: none."""
+    weigh_links: bool = True
+    """Whether what the links weigh is taken off, where their masses and gravity are known."""
 
     def __post_init__(self) -> None:
         check_numbers(
@@ -49,6 +52,8 @@ class TouchConfig:
             positive=("touch_force", "nominal_force"),
             not_negative=("release_force", "lean", "smoothing_time"),
         )
+        if not isinstance(self.weigh_links, bool):
+            raise InvalidInput(f"weigh_links is {self.weigh_links!r}; expected a bool")
         if self.release_force > self.touch_force:
             raise InvalidInput(
                 f"release_force is {self.release_force} N; expected at most touch_force, "
@@ -143,13 +148,16 @@ def estimate_touch(
     """
     now = hand.configuration(q)
     tip = now.fingertip_position
-    centre = tip.mean(axis=-2) if object_position is None else object_position
+    centre = object_position
+    if centre is None:
+        centre = _between(tip, touched if in_contact is None else in_contact)
     inward = _unit(centre[..., None, :] - tip)
     if torque is None:
         touch = np.zeros(tip.shape[:-1], bool) if in_contact is None else in_contact
         normal, force = inward, np.full(tip.shape[:-1], config.nominal_force)
     else:
-        pressing = fingertip_forces(hand, now, tip, torque)
+        # friction has a moment about the tip point, which lies inside of the fingertip
+        pressing = fingertip_forces(hand, now, tip + hand.config.fingertip_radius * inward, torque)
         along = (pressing * inward).sum(axis=-1)
         aside = pressing - along[..., None] * inward
         size = np.sqrt((aside * aside).sum(axis=-1))
@@ -167,6 +175,15 @@ def estimate_touch(
         np.where(rows, normal, 0.0),
         np.where(touch, force, 0.0),
     )
+
+
+def _between(tip: Floats, touch: Bools | None) -> Floats:
+    """Middle ``(..., 3)`` of the fingertips ``(..., m, 3)`` that touch, of all where none do."""
+    if touch is None:
+        return enclosing_centre(tip)
+    enough = touch & (touch.sum(axis=-1, keepdims=True) > 1)  # one finger alone tells nothing
+    enough = enough | ~enough.any(axis=-1, keepdims=True)
+    return enclosing_centre(tip, enough)
 
 
 def fingertip_forces(hand: Hand, now: Any, point: Floats, torque: Floats) -> Floats:

@@ -53,7 +53,8 @@ class CoordinatedGaitConfig:
     """And slows down over the last so much before it [rad]."""
     spacing: float = 0.036
     """Fingers land at least this far, round the object, from the one behind them [m]: one that
-    comes down on its neighbour touches nothing else and pushes it off the object."""
+    comes down on its neighbour touches nothing else and pushes it off the object. Suiting a hand:
+    1.4 of its ``config.finger_width``."""
     follow: bool = True
     """Whether landings follow the object until the tip touches, not only until it lifts. They keep
     `spacing` from the finger behind, which comes on with the object, in any case."""
@@ -98,12 +99,13 @@ class CoordinatedGaitConfig:
     def suiting(cls, hand: HandModel) -> CoordinatedGaitConfig:
         """What suits a hand: these defaults where five fingers hold; less speed and short swings
         where four do, since three remain while one is lifted, and never further than
-        ``hand.config.object.reach``.
+        ``hand.config.object.reach``; landings a finger's width apart, and some more.
         """
         reach = hand.config.object.reach or np.inf
         found = cls() if hand.n_fingers > 4 else cls(**_FEW)
         return replace(
             found,
+            spacing=_ROOM * hand.config.finger_width or found.spacing,
             swing=min(found.swing, reach),
             most_travel=min(found.most_travel, 1.1 * reach),
             least_travel=min(found.least_travel, 0.65 * reach),
@@ -115,6 +117,7 @@ class CoordinatedGaitConfig:
         return replace(self, in_grasp=self.in_grasp.about(axis))
 
 
+_ROOM = 1.4  # finger widths between landings (docs/what-helped.md)
 _MOST_HEIGHT = 0.02  # between fingertip and contact [m]
 # measured on the Allegro and the LEAP hand (docs/what-helped.md)
 _FEW: dict[str, Any] = {

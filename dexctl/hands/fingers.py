@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ class Finger:
         body: the body that the tip is on, or the site that it is at.
         offset: where the tip is in its frame ``(3,)`` [m].
         radius: half the width of the tip [m].
+        width: of its last two links, along the axis of the last joint [m].
         joints: its own, base to tip, those that follow others among them.
         base: where the first of them is ``(3,)`` [m], world frame of the file, joints at zero or
             at the end of their range that is nearest to it.
@@ -35,6 +36,7 @@ class Finger:
     body: str
     offset: Floats
     radius: float
+    width: float
     joints: tuple[str, ...]
     base: Floats
     tip: Floats
@@ -261,6 +263,12 @@ def _finger(
     radius = float(np.clip(np.ptp(across @ narrow) / 2, 0.0, 0.5 * max(end, 0.0)))
     tip = anchor + (end - radius) * along
     body = int(np.bincount(owner[far]).argmax()) if len(owner) else part.bodies[-1]
+    axis = rotation @ part.joints[-1].axis
+    links = [
+        clouds,
+        [points[b] @ placed[b][0].T + placed[b][1] for s in own[-2:-1] for b in parts[s].bodies],
+    ]
+    widths = [float(np.ptp(np.concatenate(one) @ axis)) for one in links if sum(map(len, one))]
     first = parts[own[0]]
     turn, at = placed[first.bodies[0]]
     turn_of_tip, at_tip = placed[body]
@@ -268,6 +276,7 @@ def _finger(
         body=description.bodies[body].name,
         offset=turn_of_tip.T @ (tip - at_tip),
         radius=radius,
+        width=max(widths, default=0.0),
         joints=tuple(joint.name for s in own for joint in parts[s].joints),
         base=turn @ first.joints[0].anchor + at,
         tip=tip,
@@ -282,11 +291,11 @@ def _moved(
         body, at = description.sites[name]
         rotation, origin = placed[body]
         tip = rotation @ at + origin
-        return Finger(name, np.zeros(3), finger.radius, finger.joints, finger.base, tip)
+        return replace(finger, body=name, offset=np.zeros(3), tip=tip)
     index = next(i for i, body in enumerate(description.bodies) if body.name == name)
     rotation, origin = placed[index]
     offset = rotation.T @ (finger.tip - origin)
-    return Finger(name, offset, finger.radius, finger.joints, finger.base, finger.tip)
+    return replace(finger, body=name, offset=offset)
 
 
 def _drop_short(found: dict[int, Finger], dropped: dict[str, str]) -> None:

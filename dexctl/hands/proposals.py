@@ -64,10 +64,12 @@ def propose(path: str | Path, fingertips: Sequence[str] = (), base: str | None =
             "That half-width: where nothing feels contacts, they are taken to be this far from the "
             "tips."
         )
+    reasons["finger_width"] = "The wider of the last two links, in the middle finger of them all."
     config = HandConfig(
         description=path.absolute(),
         fingertips={finger.body: _rounded(finger.offset, 4) for finger in found.fingers},
         fingertip_radius=round(float(np.median(radii)), 4) if inside else 0.0,
+        finger_width=round(float(np.median([finger.width for finger in found.fingers])), 4),
         couplings={
             joint: Coupling(offset=stretched(description)[joint])
             for joint in found.trunk

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dexctl.sim.grasp_states import GraspStates
     from dexctl.sim.grouped import GroupedSimulator
     from dexctl.sim.limited_hand import LimitedHand
+    from dexctl.sim.link_weights import LinkWeights
     from dexctl.sim.objects import object_names
     from dexctl.sim.pushes import Push
     from dexctl.sim.randomisation import Randomisation
@@ -37,6 +38,7 @@ __all__ = [
     "GroupedSimulator",
     "HandLimits",
     "LimitedHand",
+    "LinkWeights",
     "Push",
     "Randomisation",
     "Recorder",
@@ -61,6 +63,7 @@ _HOMES = {
     "grasp_states": ("GraspStates",),
     "grouped": ("GroupedSimulator",),
     "limited_hand": ("LimitedHand",),
+    "link_weights": ("LinkWeights",),
     "objects": ("object_names",),
     "pushes": ("Push",),
     "randomisation": ("Randomisation",),

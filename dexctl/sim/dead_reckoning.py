@@ -10,7 +10,7 @@ import numpy as np
 from dexctl.grasp.odometry import ContactOdometry
 from dexctl.hand import HandModel
 from dexctl.rotations import multiply
-from dexctl.state import Bools, GraspState
+from dexctl.state import Bools, Floats, GraspState
 
 
 class DeadReckoning:
@@ -27,6 +27,11 @@ class DeadReckoning:
         self._odometry = ContactOdometry(hand, control_period)
         self._odometry.start(count)
         self._start = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))  # orientations
+
+    @property
+    def position(self) -> Floats:
+        """Where the objects are by now, ``(N, 3)`` [m]."""
+        return self._odometry.position
 
     def __call__(self, seen: GraspState, begin: Bools | None) -> GraspState:
         """``seen`` ``(N,)`` with the poses that follow from what is felt.

@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dexctl.sim.hand_joints import HandJoints
 from dexctl.sim.offscreen import Offscreen
 from dexctl.sim.scene import Scene
 from dexctl.sim.settle_failure import SettleFailure
-from dexctl.sim.tips import place
 from dexctl.sim.visuals import colour_fingertips, fingertip_geoms, visual_model
 from dexctl.state import Floats
 
@@ -39,7 +39,7 @@ def hand_pictures(
     """
     model = visual_model(scene)
     data = mujoco.MjData(model)
-    place(scene, model, data, q)
+    HandJoints(model, scene.hand).place(data, q)
     data.qpos[scene.object_qpos.start + 2] = -_AWAY
     mujoco.mj_forward(model, data)
     tips = scene.hand.fingertip_positions(q)

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from dexctl.hand import HandModel, random_configurations
+from dexctl.sim.hand_joints import HandJoints
 
 _POSTURES = 20  # in which links must overlap to be excluded
 
@@ -42,15 +43,11 @@ def _touches(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _always_touching(model: mujoco.MjModel, hand: HandModel) -> set[tuple[int, int]]:
-    data = mujoco.MjData(model)
+    data, joints = mujoco.MjData(model), HandJoints(model, hand)
     postures = [hand.posture({}), *random_configurations(hand, _POSTURES - 1, seed=0)]
     found: set[tuple[int, int]] | None = None
     for q in postures:
-        for name in hand.joint_names:
-            data.qpos[model.joint(name).qposadr[0]] = q[hand.joint_names.index(name)]
-        for name, mimic in hand.couplings.items():
-            master = 0.0 if mimic.master is None else q[hand.joint_names.index(mimic.master)]
-            data.qpos[model.joint(name).qposadr[0]] = mimic.scale * master + mimic.offset
+        joints.place(data, q)
         mujoco.mj_fwdPosition(model, data)
         bodies = np.sort(model.geom_bodyid[data.contact.geom], axis=1)
         touching = {(int(a), int(b)) for a, b in bodies}

@@ -19,7 +19,8 @@ from dexctl.validation import check_kind, check_name, check_numbers
 
 Touch = Literal["full", "binary", "joint-torque"]
 TOUCHES: tuple[Touch, ...] = ("full", "binary", "joint-torque")
-POSES = ("tracked", "odometry")
+Pose = Literal["tracked", "odometry", "unknown"]
+POSES: tuple[Pose, ...] = ("tracked", "odometry", "unknown")
 
 _SENSED = (
     "q", "in_contact", "contact_position", "contact_normal", "contact_force",
@@ -39,9 +40,10 @@ class Sensing:
     """What is known of touch: "full" is contact points, normals and forces; "binary" which
     fingertips touch, the rest told from the joints; "joint-torque" the joints alone."""
     joint_touch: Annotated[TouchConfig, NESTED] = field(default_factory=TouchConfig)
-    object_pose: Literal["tracked", "odometry"] = "tracked"
+    object_pose: Pose = "tracked"
     """How the object's pose is known: "tracked", as it is; "odometry", as it was at the start of
-    the episode and from then on by what the fingers that hold it feel alone."""
+    the episode and from then on by what the fingers that hold it feel alone; "unknown", not at
+    all."""
     joint_offset: float = 0.0
     """Standard deviation of what encoders read at zero, drawn for each joint and episode [rad].
     Servos go by their encoders, so what they hold is off by as much."""
@@ -161,9 +163,13 @@ class Sensor:
         seen = self._felt(seen, begin)
         if self._joint_touch is not None:
             switches = seen.in_contact if sensing.touch == "binary" else None
-            seen = self._joint_touch(seen, switches, mask=begin)
+            seen = self._joint_touch(self._placed(seen, begin), switches, mask=begin)
         if self._reckoning is not None:
+            truth = state.object_position, state.object_quaternion
+            seen = replace(seen, object_position=truth[0], object_quaternion=truth[1])
             seen = self._reckoning(seen, begin)
+        elif sensing.object_pose == "unknown":
+            seen = replace(seen, object_position=None, object_quaternion=None)
         if not self._steps:
             return seen
         now = {name: getattr(seen, name) for name in _SENSED if getattr(seen, name) is not None}
@@ -188,6 +194,18 @@ class Sensor:
         return {
             name: np.stack([one[name] for one in self._past])[index, rows] for name in self._past[0]
         }
+
+    def _placed(self, seen: GraspState, begin: Bools | None) -> GraspState:
+        """``seen`` with the objects where they are known to be before touch is told from joints."""
+        if self._sensing.object_pose == "unknown":
+            return replace(seen, object_position=None)
+        if self._reckoning is None:
+            return seen
+        position = self._reckoning.position
+        if begin is not None:
+            assert seen.object_position is not None
+            position = np.where(begin[:, None], seen.object_position, position)
+        return replace(seen, object_position=position)
 
     def _felt(self, seen: GraspState, begin: Bools | None) -> GraspState:
         """What is left of touch by thresholds and drop-outs."""

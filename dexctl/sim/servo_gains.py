@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from dexctl.hand import HandModel
+from dexctl.sim.hand_joints import HandJoints
 from dexctl.state import Floats
 
 BANDWIDTH = 8.0
@@ -58,14 +59,12 @@ def proposed_gains(
         stiffness, damping: what is known already ``(d,)``, NaN elsewhere.
     """
     q = hand.posture({})
-    data, expand = _posed(model, hand, q), _expansion(model, hand)
-    inertia = _inertia(model, data, expand)
-    weight = np.zeros((3, hand.nq))
-    bare = model.__copy__()
+    inertia = _inertia(model, hand, q)
+    bare, weight = model.__copy__(), np.zeros((3, hand.nq))
+    joints, data = HandJoints(bare, hand), mujoco.MjData(bare)
     for axis in range(3):
         bare.opt.gravity = 9.81 * np.eye(3)[axis]
-        mujoco.mj_forward(bare, data)
-        weight[axis] = data.qfrc_bias @ expand
+        weight[axis] = joints.weight(data, q)
     tips = hand.fingertip_positions(q)
     lever = np.linalg.norm(hand.contact_jacobian(q, tips), axis=1).max(axis=0)
     fastest = (2 * np.pi * BANDWIDTH) ** 2
@@ -93,39 +92,13 @@ def link_inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
     """
     bare = model.__copy__()
     bare.dof_armature[:] = 0.0
-    return _inertia(bare, _posed(bare, hand, q), _expansion(bare, hand))
+    return _inertia(bare, hand, q)
 
 
-def _posed(model: mujoco.MjModel, hand: HandModel, q: Floats) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    for name in (*hand.joint_names, *hand.couplings):
-        data.qpos[model.joint(name).qposadr[0]] = _position(hand, name, q)
-    mujoco.mj_forward(model, data)
-    return data
-
-
-def _inertia(model: mujoco.MjModel, data: mujoco.MjData, expand: Floats) -> Floats:
+def _inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
     """The mass matrix' diagonal for the d joints, armature included."""
-    full = np.zeros((model.nv, model.nv))
+    joints, data, full = HandJoints(model, hand), mujoco.MjData(model), np.zeros((model.nv,) * 2)
+    joints.place(data, q)
+    mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, full)
-    return np.diag(expand.T @ full @ expand).copy()
-
-
-def _position(hand: HandModel, joint: str, q: Floats) -> float:
-    if joint in hand.joint_names:
-        return float(q[hand.joint_names.index(joint)])
-    mimic = hand.couplings[joint]
-    master = 0.0 if mimic.master is None else q[hand.joint_names.index(mimic.master)]
-    return float(mimic.scale * master + mimic.offset)
-
-
-def _expansion(model: mujoco.MjModel, hand: HandModel) -> Floats:
-    """How the model's joints move with the d joints, ``(nv, d)``."""
-    expand = np.zeros((model.nv, hand.nq))
-    for j, name in enumerate(hand.joint_names):
-        expand[model.joint(name).dofadr[0], j] = 1.0
-    for name, mimic in hand.couplings.items():
-        if mimic.master is not None:
-            j = hand.joint_names.index(mimic.master)
-            expand[model.joint(name).dofadr[0], j] = mimic.scale
-    return expand
+    return np.diag(joints.expand.T @ full @ joints.expand).copy()

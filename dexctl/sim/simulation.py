@@ -14,6 +14,7 @@ from dexctl.sim.dead_reckoning import DeadReckoning
 from dexctl.sim.grasp_states import GraspStates, StateSampler
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.limited_hand import LimitedHand
+from dexctl.sim.link_weights import LinkWeights
 from dexctl.sim.pushes import Pusher
 from dexctl.sim.randomisation import Drawn, Randomiser, nominal
 from dexctl.sim.scene_config import SceneConfig
@@ -94,7 +95,10 @@ class Simulation:
         felt = None
         if config.sensing.touch != "full":
             servos, how = (scenes[0].stiffness, scenes[0].damping), config.sensing.joint_touch
-            felt = JointTouch(self.hand, *servos, how, control_period=self.control_period)
+            felt = JointTouch(
+                self.hand, *servos, how, control_period=self.control_period,
+                weights=LinkWeights(self.hand, scenes[0].model),
+            )  # fmt: skip
         reckoning = None
         if config.sensing.object_pose == "odometry":
             reckoning = DeadReckoning(self.hand, count, self.control_period)

@@ -5,18 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from dexctl.sim.hand_joints import HandJoints
 from dexctl.sim.scene import Scene
 from dexctl.state import Floats
-
-
-def place(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, q: Floats) -> None:
-    """Set the hand's joints in ``data.qpos``, and those that follow them or are held."""
-    names = scene.hand.joint_names
-    for name, angle in zip(names, q, strict=True):
-        data.qpos[model.joint(name).qposadr[0]] = angle
-    for name, mimic in scene.hand.couplings.items():
-        followed = 0.0 if mimic.master is None else mimic.scale * q[names.index(mimic.master)]
-        data.qpos[model.joint(name).qposadr[0]] = followed + mimic.offset
 
 
 def simulated_tips(scene: Scene, q: Floats) -> Floats:
@@ -48,6 +39,6 @@ def tip_gaps(scene: Scene) -> Floats:
 
 def _forward(scene: Scene, q: Floats) -> mujoco.MjData:
     data = mujoco.MjData(scene.model)
-    place(scene, scene.model, data, q)
+    HandJoints(scene.model, scene.hand).place(data, q)
     mujoco.mj_kinematics(scene.model, data)
     return data

@@ -261,12 +261,15 @@ class HandOptions:
             bus = stack.enter_context(Bus(port, ids, baudrate=baudrate, timeout=timeout))
             how, felt = self.scene.sensing.touch, None
             if how != "full":
+                from dexctl.sim import LinkWeights
+
                 felt = JointTouch(
                     model,
                     np.array([one.kp for one in gains]),
                     np.array([one.kv for one in gains]),
                     self.scene.sensing.joint_touch,
                     control_period=control_period,
+                    weights=LinkWeights(model),
                 )
             hand = ServoHand(
                 bus,

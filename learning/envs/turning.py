@@ -55,6 +55,9 @@ class TurningConfig:
     command_speed_range: Range = (0.5, 0.5)
     """The wanted speed is drawn from this range with each command; turning faster is worth no more,
     whatever max_reward [rad/s]."""
+    keep_speed: bool = False
+    """Whether a command's speed, max_reward without commands, is one to keep, as wanted_speed is,
+    and not only the most that is worth anything."""
 
     def __post_init__(self) -> None:
         check_numbers(
@@ -111,17 +114,18 @@ def reward(motion: Motion, config: TurningConfig, most: Floats | None = None) ->
     the tilt is at most phi_max; min(0, w . k) elsewhere. The equation leaves "nothing but
     fingertips" to its text. With a speed v to keep (chapter 5, which gives no equation), w . k
     counts as min(w . k, 2 v - w . k). All costs are taken off. ``most`` ``(...)`` stands for r_max
-    where it is given.
+    where it is given, and for v with ``keep_speed``.
     """
     speed = motion.speed
-    if config.wanted_speed is not None:
-        speed = np.minimum(speed, 2.0 * config.wanted_speed - speed)
+    most = np.full_like(speed, config.max_reward) if most is None else most
+    kept = most if config.keep_speed else config.wanted_speed
+    if kept is not None:
+        speed = np.minimum(speed, 2.0 * kept - speed)
     good = (
         (motion.fingertips >= config.min_fingertips)
         & (motion.fingertips_only | (not config.only_fingertips))
         & (motion.tilt <= config.max_tilt)
     )
-    most = np.full_like(speed, config.max_reward) if most is None else most
     found: Floats = np.where(good, np.minimum(speed, most), np.minimum(speed, 0.0))
     for cost, amount in (
         (config.drop_cost, motion.dropped),

@@ -348,6 +348,8 @@ def test_four_fingers_do_not_wait_for_a_thumb_that_the_others_could_spare(
 def test_what_suits_a_hand(dex5: HandModel, four_fingers: HandModel) -> None:
     assert CoordinatedGaitConfig.suiting(dex5) == CoordinatedGaitConfig()
     config = replace(four_fingers.config, description=four_fingers.path)
+    broad = CoordinatedGaitConfig.suiting(replace(config, finger_width=0.04).build())
+    assert broad.spacing == pytest.approx(1.4 * 0.04)  # links are wider than fingertips
     few = CoordinatedGaitConfig.suiting(replace(config, object=HeldObject()).build())
     assert (few.swing, few.most_travel, few.level) == (0.25, 0.33, 0.5)
     close = HeldObject(reach=0.2)

@@ -90,6 +90,7 @@ def test_fingers_palm_and_wrist_of_a_urdf(hand_file: Path) -> None:
     np.testing.assert_allclose(found.config.fingertips["f0_end"], [0, 0, 0.04 - 0.008], atol=1e-4)
     assert found.config.fingertip_radius == pytest.approx(0.008, abs=1e-4)  # tips are inside by it
     assert "half-width" in found.reasons["fingertip_radius"]
+    assert found.config.finger_width == pytest.approx(0.016, abs=1e-4)  # and the link before it
     np.testing.assert_allclose(found.config.fingertips["t_end"], [0, 0, 0.03], atol=5e-3)
     assert found.config.palm.axis == (1.0, 0.0, 0.0)
     assert found.config.palm.up == (0.0, 0.0, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,16 @@ def test_forces_are_those_that_made_the_torques(hand: HandModel) -> None:
     assert not state.contact_normal[~on].any()
 
 
+def test_friction_at_the_contact_is_no_force_along_the_normal(hand: HandModel) -> None:
+    """It has a moment about the tip point, which is inside of the fingertip."""
+    q, _, inward = pressing(hand, [1.0] * 5)
+    point = hand.fingertip_positions(q) + RADIUS * inward
+    force = inward + np.array([0.0, 0.0, 0.5])
+    torque = np.einsum("fkd,fk->d", hand.contact_jacobian(q, point), force)
+    state = GraspState.from_joint_torques(hand, q, q, torque=torque, config=CONFIG)
+    np.testing.assert_allclose(state.contact_force, 1.0, atol=0.02)
+
+
 def test_servos_press_by_their_stiffness_up_to_their_limit(hand: HandModel) -> None:
     q, torque, _ = pressing(hand, [1.0] * 5)
     measured = GraspState.from_joint_torques(hand, q, q, torque=torque, config=CONFIG)
@@ -99,7 +110,7 @@ def test_the_normal_leans_with_the_force_so_far(hand: HandModel) -> None:
     tip = hand.fingertip_positions(q)
     inward = tip.mean(axis=0) - tip
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-    jacobian = hand.contact_jacobian(q, tip)
+    jacobian = hand.contact_jacobian(q, tip + RADIUS * inward)  # where it touches
     force = inward + np.array([0.0, 0.0, 0.8])
     torque = np.einsum("fkd,fk->d", jacobian, force)
     for lean in (0.0, 0.3, 2.0):
@@ -231,6 +242,28 @@ def test_what_holds_the_finger_itself_is_no_force(hand: HandModel) -> None:
     assert not np.allclose(touch(heavy).contact_force, light.contact_force)
     with pytest.raises(InvalidInput, match="free_torque is"):
         touch(heavy, free_torque=np.zeros(3))
+
+
+def test_links_are_weighed_where_gravity_is_known(hand: HandModel) -> None:
+    q, torque, _ = pressing(hand, [1.0] * 5)
+    down, weight = np.array([0.0, 0.0, -9.81]), np.linspace(-0.05, 0.05, hand.nq)
+
+    def weights(q: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(gravity[..., 2:] / down[2] * weight, q.shape)
+
+    def force(config: TouchConfig, gravity: np.ndarray | None, load: np.ndarray) -> np.ndarray:
+        state = replace(bare(hand, q, q + (torque + load) / 3.0), gravity=gravity)
+        return JointTouch(hand, 3.0, config=config, weights=weights)(state).contact_force
+
+    plain = TouchConfig(smoothing_time=0.0)
+    light = force(plain, None, 0 * weight)
+    np.testing.assert_allclose(force(plain, down, weight), light)
+    np.testing.assert_allclose(force(plain, -down, -weight), light)
+    assert not np.allclose(force(plain, None, weight), light)
+    left = replace(plain, weigh_links=False)
+    np.testing.assert_array_equal(force(left, down, weight), force(plain, None, weight))
+    with pytest.raises(InvalidInput, match="weigh_links is 1; expected a bool"):
+        TouchConfig(weigh_links=1)  # type: ignore[arg-type]
 
 
 def test_joints_without_damping_move_freely(hand: HandModel) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dexctl import controllers
+from dexctl.enclosing import enclosing_centre
 from dexctl.rotations import inverse, multiply, rotation_vector
 from dexctl.settings import from_plain
 from dexctl.sim import SceneConfig, Simulation
@@ -45,6 +46,38 @@ def test_it_follows_the_object() -> None:
         assert (came > 0.2).all()
         assert (off(simulation.read(), simulation.state) < 0.25 * came).all()
         assert (off(simulation.read(), simulation.state) > 1e-6).all()  # it does not look
+
+
+@pytest.mark.parametrize("touch", ["joint-torque", "binary"])
+@pytest.mark.parametrize("pose", ["odometry", "unknown"])
+def test_touch_is_told_without_the_true_pose(touch: str, pose: str) -> None:
+    """Normals point to where the object is thought to be, not to where it is."""
+    with Simulation(scene(touch=touch, object_pose=pose), 2) as simulation:
+        turn(simulation, 40)
+        known = simulation.read().object_position  # that the next normals can go by
+        turn(simulation, 1)
+        seen = simulation.read()
+        tip = simulation.hand.configuration(seen.q).fingertip_position
+        if pose == "odometry":
+            assert known is not None
+            assert np.abs(known - simulation.state.object_centre()).max() > 1e-5  # it is not there
+            centre = known
+        else:
+            assert known is None and seen.object_quaternion is None
+            assert seen.in_contact.all()  # then it is all of them that it is between
+            centre = enclosing_centre(tip)
+        inward = centre[:, None] - tip
+        inward /= np.linalg.norm(inward, axis=-1, keepdims=True)
+        expected = np.where(seen.in_contact[..., None], inward, 0.0)
+        np.testing.assert_allclose(seen.contact_normal, expected, atol=1e-9)
+
+
+def test_nothing_may_be_known_of_the_pose() -> None:
+    with Simulation(scene(object_pose="unknown", sensor_latency=0.1), 2) as simulation:
+        turn(simulation, 10)  # which goes by touch alone
+        seen = simulation.read()
+        assert seen.object_position is None and seen.object_quaternion is None
+        assert simulation.state.object_position is not None
 
 
 def test_an_episode_that_begins_changes_no_other() -> None:

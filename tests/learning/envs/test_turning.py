@@ -54,6 +54,9 @@ def test_the_equation_case_by_case() -> None:
     assert less(links_cost=0.2) == pytest.approx([0, 0, 0, 0, 0, 0.2, 0.2])
     links = reward(motion, TurningConfig(only_fingertips=False))
     np.testing.assert_array_equal(links, [0.3, 0.5, -0.2, 0.0, 0.0, 0.3, -0.2])
+    told = TurningConfig(keep_speed=True)
+    commanded = reward(motion, told, np.full(motion.speed.shape, 0.4))
+    np.testing.assert_array_equal(commanded, reward(motion, TurningConfig(wanted_speed=0.4)))
     kept = reward(motion, TurningConfig(wanted_speed=0.4))  # 0.9 is 0.5 too fast
     assert kept == pytest.approx([0.3, -0.1, -0.2, 0, 0, 0, -0.2])
 

@@ -30,10 +30,12 @@ OTHERS: dict[str, Any] = {
     "scene.sensing.touch": "binary",
     "scene.sensing.object_pose": "odometry",
     "scene.sensing.joint_touch.release_force": 0.3,
+    "scene.sensing.joint_touch.weigh_links": False,
     "scene.threads": 3,
     "task.goals": "cube",
     "task.turning.axis": (0.0, -2.0, 1.0),
     "task.turning.end_on_links": True,
+    "task.turning.keep_speed": True,
     "task.turning.only_fingertips": False,
     "task.turning.commands": ("x", "any"),
 }
