@@ -156,7 +156,7 @@ class GraspState:
         """The state of a hand whose fingertips say whether they touch, and nothing more.
 
         Forces and normals are those of `from_joint_torques` where stiffness or torque is given;
-        else the normals point to the object's centre (without tracking, the fingertips' centroid)
+        else the normals point to the object's centre (without tracking, the fingertips' middle)
         and the force is nominal, so that controllers cannot regulate it.
 
         Args:

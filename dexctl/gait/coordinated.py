@@ -177,7 +177,7 @@ class CoordinatedGait(BatchController):
     touches: the two actions are in the diagnostics, and their inner product is zero.
 
     Where nothing tracks the object, its pose is summed up from the motion of the fingers that hold
-    it (`ContactOdometry`), from the contacts' centroid at the reset on.
+    it (`ContactOdometry`), from the middle of the contacts at the reset on.
 
     Args:
         hand: the hand, of four fingers or more of which any but one can hold the object.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dexctl.configuration import HandConfiguration
+from dexctl.enclosing import enclosing_centre
 from dexctl.grasp.contacts import grasp_map
 from dexctl.hand import HandModel
 from dexctl.rotations import multiply
@@ -17,7 +18,7 @@ from dexctl.state import Bools, Floats, GraspState
 
 _LENGTH = 0.05  # scales rotations to lengths in the least squares [m]
 _RIDGE = 1e-3  # keeps it solvable where the contacts leave a direction open
-_CENTROID_RATE = 0.2  # pulls the centre to the contacts' centroid while all fingers touch [1/s]
+_MIDDLE_RATE = 0.2  # pulls the centre to the middle of the contacts while all fingers touch [1/s]
 
 
 class ContactOdometry:
@@ -57,7 +58,8 @@ class ContactOdometry:
     def track(self, state: GraspState, now: HandConfiguration, holding: Bools) -> GraspState:
         """``state`` ``(N,)``, which tracks no object, with their poses by dead reckoning.
 
-        Objects met for the first time are where the contacts' centroid is; without any touch the
+        Objects met for the first time are at the centre of the smallest ball around the contacts,
+        which a side with more fingers does not draw to itself; without any touch the
         fingertips themselves stand round the place where an object would be.
 
         Args:
@@ -69,8 +71,8 @@ class ContactOdometry:
         if new.any():
             touch = state.in_contact[new, :, None]
             point = np.where(touch, state.contact_position[new], now.fingertip_position[new])
-            weight = np.where(touch.any(axis=1, keepdims=True), touch, True).astype(float)
-            self.place(new, (weight * point).sum(axis=1) / weight.sum(axis=1))
+            chosen = (touch | ~touch.any(axis=1, keepdims=True))[..., 0]
+            self.place(new, enclosing_centre(point, chosen))
         self.update(state, now, holding)
         return replace(state, object_position=self.position, object_quaternion=self.quaternion)
 
@@ -132,8 +134,9 @@ class ContactOdometry:
             motion = (moved[:, :, None, :] @ self._jacobian)[:, :, 0]
             self._move(self._point, motion, both)
         whole = holding.all(axis=1, keepdims=True)
-        pull = _CENTROID_RATE * self._dt * (point.mean(axis=1) - self.position)
-        self.position = self.position + np.where(whole, pull, 0.0)
+        if whole.any():
+            pull = _MIDDLE_RATE * self._dt * (enclosing_centre(point) - self.position)
+            self.position = self.position + np.where(whole, pull, 0.0)
         self._q, self._holding, self._point = state.q.copy(), holding, point
         self._jacobian = now.finger_jacobian(point)
 
