@@ -46,6 +46,7 @@ HEADINGS = {
     "ablation": "Parts of the coordinated gait",
     "learning_ablation": "Parts of the recipe fast",
     "feedback": "What a policy has to feel",
+    "commanded_speed": "Commanded speeds",
     "planning": "Planning",
     "starts": "Starts of episodes",
     "predictive_sampling": "Against predictive sampling",
