@@ -106,16 +106,21 @@ class Options(Settings):
 def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any]:
     """One row."""
     condition, subject = CONDITIONS[chosen], open_subject(who)
-    scene = under(SceneConfig(object=(turned,), gravity=condition.palm), *condition.names)
-    scene = changed(scene, condition.changes)
+    own = subject.protocol()  # of a policy: its hand, what it weighed there, and its axis
+    scene = SceneConfig(
+        hand=own.scene.hand,
+        object=(turned,),
+        object_mass=own.scene.object_mass,
+        gravity=condition.palm,
+    )
+    scene = changed(under(scene, *condition.names), condition.changes)
     protocol = Protocol(
         scene=replace(scene, threads=1),
         episodes=given.endurance if condition.seconds else given.trials,
         seconds=condition.seconds or given.seconds,
         seed=given.seed,
     )
-    own = subject.protocol().task.axis  # of a policy the one that it turns about
-    found = evaluate(subject, changed(protocol, {"axis": own}))
+    found = evaluate(subject, changed(protocol, {"axis": own.task.axis}))
     times, held = found.survival()
     return {
         "who": who,
