@@ -82,12 +82,15 @@ def choose(
     residual = _residuals(grasps.of(hopeful), others[hopeful], push_friction)
     score = score[hopeful] - residual_weight * residual
     score[residual > residual_limit] = -np.inf
-    best = score.argmax(axis=1)
     rows = np.arange(len(hopeful))
-    worth = np.isfinite(score[rows, best])
-    finger[hopeful], found[hopeful] = best, worth
-    chosen = hopeful[worth]
-    found[chosen] = holds_without(grasps.of(chosen), finger[chosen], friction, firm_only=True)
+    left = np.isfinite(score).any(axis=1)
+    while left.any():
+        at = rows[left]
+        best = score[at].argmax(axis=1)
+        holds = holds_without(grasps.of(hopeful[at]), best, friction, firm_only=True)
+        finger[hopeful[at]], found[hopeful[at]] = best, holds
+        score[at, best] = -np.inf
+        left[at] = ~holds & np.isfinite(score[at]).any(axis=1)
     return Choice(finger, found)
 
 

@@ -345,6 +345,30 @@ def test_four_fingers_do_not_wait_for_a_thumb_that_the_others_could_spare(
     assert found.found.all() and found.finger.tolist() == [3]
 
 
+def test_the_next_best_finger_where_the_best_cannot_be_spared() -> None:
+    """A cube on which the Allegro hand stood still: the thumb alone opposes two of the others."""
+    around = np.array([-1.25, 0.58, 1.44, -2.4])
+    normal = np.array([[-0.8, 0.6, 0.0], [-0.6, -0.8, 0.0], [-0.6, -0.8, 0.0], [0.6, 0.8, 0.0]])
+    lever = 0.024 * np.stack([np.cos(around), np.sin(around), np.zeros(4)], axis=-1)
+    touch = np.ones((1, 4), bool)
+    grasps = Grasps(lever[None], normal[None], touch, touch, np.zeros((1, 3)))
+
+    def chosen(travel: list[float]) -> tuple[bool, int]:
+        found = choose(
+            grasps,
+            np.array([travel]),
+            least_travel=0.16,
+            residual_weight=0.0,
+            residual_limit=9.0,
+            push_friction=0.2,
+            friction=0.65,
+        )
+        return bool(found.found[0]), int(found.finger[0])
+
+    assert chosen([0.18, 0.59, 0.0, 0.82]) == (True, 1)
+    assert not chosen([0.0, 0.0, 0.0, 0.82])[0]
+
+
 def test_what_suits_a_hand(dex5: HandModel, four_fingers: HandModel) -> None:
     assert CoordinatedGaitConfig.suiting(dex5) == CoordinatedGaitConfig()
     config = replace(four_fingers.config, description=four_fingers.path)
