@@ -83,7 +83,7 @@ def choose(
     score = score[hopeful] - residual_weight * residual
     score[residual > residual_limit] = -np.inf
     rows = np.arange(len(hopeful))
-    left = np.isfinite(score).any(axis=1)
+    left: Bools = np.isfinite(score).any(axis=1)
     while left.any():
         at = rows[left]
         best = score[at].argmax(axis=1)
