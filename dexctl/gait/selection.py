@@ -82,15 +82,13 @@ def choose(
     residual = _residuals(grasps.of(hopeful), others[hopeful], push_friction)
     score = score[hopeful] - residual_weight * residual
     score[residual > residual_limit] = -np.inf
-    rows = np.arange(len(hopeful))
-    left: Bools = np.isfinite(score).any(axis=1)
-    while left.any():
-        at = rows[left]
-        best = score[at].argmax(axis=1)
-        holds = holds_without(grasps.of(hopeful[at]), best, friction, firm_only=True)
-        finger[hopeful[at]], found[hopeful[at]] = best, holds
-        score[at, best] = -np.inf
-        left[at] = ~holds & np.isfinite(score[at]).any(axis=1)
+    left = np.flatnonzero(np.isfinite(score).any(axis=1))
+    while len(left):
+        at, best = hopeful[left], score[left].argmax(axis=1)
+        holds = holds_without(grasps.of(at), best, friction, firm_only=True)
+        finger[at], found[at] = best, holds
+        score[left, best] = -np.inf
+        left = left[~holds & np.isfinite(score[left]).any(axis=1)]
     return Choice(finger, found)
 
 
