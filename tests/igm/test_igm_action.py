@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dexctl import GraspState, HandModel, InGraspManipulation
+from dexctl.enclosing import enclosing_centre
 from dexctl.grasp import grasp_map, stability_forces
 from dexctl.igm import InGraspManipulationConfig, Share, push_directions
 
@@ -221,13 +222,17 @@ def test_fingers_out_of_touch_close_in_across_the_axis(dex5, grasp_of, posture):
     )
 
 
-def test_the_centroid_of_the_contacts_stands_in_for_an_untracked_object(dex5, grasp_of, posture):
+def test_the_middle_of_the_contacts_stands_in_for_an_untracked_object(dex5, grasp_of, posture):
+    """The centre of the smallest ball around them; for the thesis's controller, their centroid."""
     state = grasp_of(dex5, wiggled(posture, 6))
     touch = np.array([True, False, True, True, True])
-    centre = state.contact_position[touch].mean(axis=0)
+    points = state.contact_position[touch]
     untracked = replace(state, in_contact=touch, object_position=None, object_quaternion=None)
-    tracked = replace(untracked, object_position=centre)
-    for config in (InGraspManipulationConfig(), InGraspManipulationConfig.thesis()):
+    for config, centre in (
+        (InGraspManipulationConfig(), enclosing_centre(points)),
+        (InGraspManipulationConfig.thesis(), points.mean(axis=0)),
+    ):
+        tracked = replace(untracked, object_position=centre)
         actions = [InGraspManipulation(dex5, config).act(one) for one in (untracked, tracked)]
         np.testing.assert_allclose(actions[0], actions[1], atol=1e-12)
 
