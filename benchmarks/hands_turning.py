@@ -33,10 +33,11 @@ from dexctl.igm import InGraspManipulationConfig
 from dexctl.sim import SceneConfig
 
 _LIGHT = {"object_mass": 0.05}
-# what suits each hand, of the width and at the place in its toml, which `dexctl hands add` found
+# what suits each hand: of the width and at the place in its toml, which `dexctl hands add` found,
+# but where that is a sphere's and the gait holds another cube better
 HELD: dict[str, dict[str, dict[str, float]]] = {
     "wonik_allegro": {"sphere": _LIGHT, "cylinder": _LIGHT, "cube": _LIGHT},
-    "leap_hand": {"sphere": _LIGHT, "cube": _LIGHT},
+    "leap_hand": {"sphere": _LIGHT, "cube": {**_LIGHT, "object_size": 0.06}},
     "shadow_hand": {"sphere": _LIGHT, "cube": _LIGHT},
 }
 _SLOW = InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), stability_gain=0.01)
