@@ -56,7 +56,7 @@ class InGraspManipulationConfig:
     rolled to its link [m]. What turns round goes back at full speed. 0: it goes on regardless."""
     reach_margin: float = 0.02
     """It stops so far before joint limits and singular postures [m]."""
-    link_limit: float = 0.1
+    link_limit: float = 0.2
     """And where the contact normal leans towards the fingertip's link by so much, as the cosine of
     the angle between the two: at 0 the link is parallel to the surface."""
     max_joint_speed: float = 2.0
