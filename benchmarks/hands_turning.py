@@ -48,6 +48,7 @@ CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 OBJECTS = ("sphere", "cube")  # of a hand that is not among these
 TARGET = FULL_TURN  # rotation that is counted [rad]
+KINDS = {"a sphere or cylinder": ("sphere", "cylinder"), "a cube": ("cube",)}  # asked for each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,13 +94,23 @@ def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
 
 
 def over_hands(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
-    """Of how many hands the gait turns some object so surely, each with its best one."""
+    """Of how many hands the gait turns round objects, and cubes, surely; each with its best one."""
     measured = [row for row in rows if "rotation_rad" in row]
-    names = list(dict.fromkeys(row["hand"] for row in measured))
+    out = []
+    for kind, names in KINDS.items():
+        out += over_kind([row for row in measured if row["object"] in names], kind, seconds)
+    return out
+
+
+def over_kind(rows: list[dict[str, Any]], kind: str, seconds: float) -> list[Figure]:
+    """The same of objects of one kind."""
+    names = list(dict.fromkeys(row["hand"] for row in rows))
+    if not names:
+        return []
 
     def best(palm: str, share: str) -> dict[str, dict[str, Any]]:
         found: dict[str, dict[str, Any]] = {}
-        for row in measured:
+        for row in rows:
             if (row["controller"], row["palm"]) != (GAIT, palm):
                 continue
             before = found.get(row["hand"])
@@ -117,8 +128,8 @@ def over_hands(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
         )
         out.append(
             Figure(
-                f"hands with an object that the coordinated gait turns once in {seconds:g} s and "
-                f"still holds in {100 * least:.0f} % of the trials, palm {palm}",
+                f"hands with {kind} of their size that the coordinated gait turns once in "
+                f"{seconds:g} s and still holds in {100 * least:.0f} % of the trials, palm {palm}",
                 f"{good} of {len(names)} ({shown})",
                 f"{wanted}",
                 good >= wanted,
@@ -126,21 +137,21 @@ def over_hands(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
         )
     in_grasp = {
         (row["hand"], row["object"]): row["rotation_rad"]["median"]
-        for row in measured
+        for row in rows
         if row["palm"] == "up" and row["controller"] != GAIT
     }
-    further = {
+    further = dict.fromkeys(
         row["hand"]
-        for row in measured
+        for row in rows
         if (row["controller"], row["palm"]) == (GAIT, "up")
         and row["holding"]["share"] >= 0.9
         and row["rotation_rad"]["median"] > in_grasp.get((row["hand"], row["object"]), 0.0)
-    }
+    )
     out.append(
         Figure(
-            f"hands with an object that the gait holds for {seconds:g} s in 90 % of the trials, "
+            f"hands with {kind} that the gait holds for {seconds:g} s in 90 % of the trials, "
             "palm up, and turns further than in-grasp manipulation",
-            f"{len(further)} of {len(names)}",
+            f"{len(further)} of {len(names)}" + (f" ({', '.join(further)})" if further else ""),
             f"{len(names)}",
             len(further) == len(names),
         )

@@ -148,17 +148,44 @@ def figures_of(rows: list[dict[str, Any]]) -> list[Figure]:
                     share >= GOAL if goal else None,
                 )
             )
+    found += cost_of_stopping(rows)
     for kind, unit, scale in (("linear", "mm", 1e3), ("angular", "rad", 1.0)):
         own = [row for row in rows if row["kind"] == "tracked" and row["motion"] == kind]
         if own:
-            there, back = (
-                scale * float(np.median([row[f"error_{end}"]["median"] for row in own]))
+            errors = {
+                end: [scale * row[f"error_{end}"]["median"] for row in own]
                 for end in ("there", "back")
-            )
+            }
+            there, back = (float(np.median(those)) for those in errors.values())
+            worst = max(map(max, errors.values()))
             asked = f"{scale * WAYS[kind]:g} {unit}"
-            text = f"error {there:.2f} {unit} there, {back:.2f} {unit} back (medians)"
+            text = f"error {there:.2f} {unit} there, {back:.2f} {unit} back (medians of "
+            text += f"{len(own)} motions), {worst:.2f} {unit} in the worst"
             found.append(Figure(f"in-grasp manipulation: {asked}, there and back", text))
     return found
+
+
+def cost_of_stopping(rows: list[dict[str, Any]]) -> list[Figure]:
+    """What stopping costs: the rotation beside that of going on up to the drop."""
+    each: dict[tuple[str, str], dict[str, float]] = {}
+    for row in rows:
+        if row["kind"] in KINDS:
+            scene = each.setdefault((row["object"], row["palm"]), {})
+            scene[row["kind"]] = row["rotation_rad"]["median"]
+    both = [scene for scene in each.values() if len(scene) == len(KINDS)]
+    if not both:
+        return []
+    as_far = sum(scene["reach"] >= scene["regardless"] for scene in both)
+    ours, theirs = (float(np.median([scene[kind] for scene in both])) for kind in KINDS)
+    return [
+        Figure(
+            f"in-grasp manipulation that {KINDS['reach']}: turns as far as where it "
+            "goes on regardless, before the drop",
+            f"{as_far} of {len(both)} scenes; median {ours:.1f} and {theirs:.1f} rad",
+            "all of them",
+            as_far == len(both),
+        )
+    ]
 
 
 def main() -> None:
