@@ -130,7 +130,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
                 f"{row['policy']}, {row['object']}, {CONDITIONS[row['condition']].text}, "
                 f"{row['time_s']:g} s: mean speed in the median episode, held",
                 f"{turned['median']:.2f} rad/s, {held['count']} of {held['of']}",
-                f"{SPEED} rad/s, {100 * HOLD:.1f} % hold" if asked else "",
+                f"{SPEED} rad/s, {100 * HOLD:.1f} % hold (theirs is a cube)" if asked else "",
                 turned["median"] >= SPEED and held["share"] >= HOLD if asked else None,
             )
         )
