@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from common import (
+    FIXED,
     Settings,
     check_chosen,
     earlier,
@@ -31,7 +33,10 @@ VARIED: dict[str, tuple[str, float, tuple[float, ...]]] = {
     "friction_range": ("friction", 1.0, (0.4, 0.6, 0.8, 1.0, 1.4)),
     "mass_range": ("mass [g]", 1e3, (0.05, 0.1, 0.2, 0.3, 0.4)),
     "size_range": ("width [%]", 1e2, (0.9, 0.95, 1.0, 1.05, 1.1)),
+    "centre_of_mass": ("centre of mass off by up to [mm]", 1e3, (0.0, 0.005, 0.01, 0.02)),
     "stiffness_range": ("stiffness [%]", 1e2, (0.5, 0.7, 1.0, 1.3, 1.5)),
+    "damping_range": ("damping [%]", 1e2, (0.5, 0.7, 1.0, 1.3, 1.5)),
+    "armature_range": ("inertia of motors [g m$^2$]", 1e3, (0.0, 0.002, 0.005, 0.01, 0.02)),
     "gear_friction_range": ("gear friction [N m]", 1.0, (0.0, 0.02, 0.04, 0.08)),
     "speed_limit": ("speed limit [rad/s]", 1.0, (0.3, 0.6, 1.0, 2.0)),
     "torque_limit": ("torque limit [N m]", 1.0, (0.2, 0.3, 0.4, 0.5)),
@@ -43,10 +48,13 @@ VARIED: dict[str, tuple[str, float, tuple[float, ...]]] = {
     "normal_noise": ("tilt of normals [rad]", 1.0, (0.0, 0.1, 0.2, 0.4)),
     "force_noise": ("noise of forces [N]", 1.0, (0.0, 0.5, 1.0, 2.0)),
     "touch_threshold": ("touch from [N]", 1.0, (0.05, 0.25, 0.5, 1.0)),
+    "touch_dropout_range": ("touch not felt [%]", 1e2, (0.0, 0.1, 0.2, 0.4)),
     "push_force": ("pushes [N]", 1.0, (0.0, 0.5, 1.0, 2.0)),
+    "gravity_turning_range": ("gravity turns at [rad/s]", 1.0, (0.0, 0.1, 0.2, 0.4)),
 }
 COLUMNS = 4
 LINES = {"up": "-", "down": (0, (4, 2))}
+MARKERS = "os^vDP"  # of one subject each: where curves lie on each other, all are seen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,12 +67,14 @@ class Options(Settings):
     """Episodes for each level, object and palm direction."""
     seconds: float = 30.0
     """Of each."""
-    who: tuple[str, ...] = ("dex5-easy", "coordinated")
+    who: tuple[str, ...] = ("dex5-easy-any", "dex5-robust", "coordinated")
     """Policies, by name or file, and controllers."""
     object: str = "cube"
     """Which."""
     varied: tuple[str, ...] = tuple(VARIED)
     """Which settings."""
+    jobs: int = 1
+    """How many rows are measured at the same time, each in a process."""
     picture: Path | None = Path(__file__).resolve().parents[1] / "docs" / "images" / "ranges.png"
     """Where the curves are drawn; None: nowhere."""
 
@@ -86,60 +96,75 @@ def measure(who: str, setting: str, level: float, palm: str, given: Options) -> 
     }
 
 
+def key_of(row: dict[str, Any]) -> tuple[str, str, str, float]:
+    """What tells a row from the others."""
+    return row["setting"], row["who"], row["palm"], row["level"]
+
+
 def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """A panel for each setting: the share of episodes that hold, by its level."""
     names = [name for name in VARIED if any(row["setting"] == name for row in rows)]
     columns = min(COLUMNS, len(names))
     count = -(-len(names) // columns)
+    subjects = list(dict.fromkeys(row["who"] for row in rows))
     with drawing():
-        figure = new_figure(0.8 + 2.4 * columns, 0.6 + 2.1 * count)
+        figure = new_figure(0.8 + 2.4 * columns, 0.6 + 1.8 * count)
         axes = figure.subplots(count, columns, sharey=True, squeeze=False)
         for panel in axes.flat[len(names) :]:
             panel.set_visible(False)
         for panel, name in zip(axes.flat, names, strict=False):
             label, factor, _ = VARIED[name]
-            for i, who in enumerate(dict.fromkeys(row["who"] for row in rows)):
+            for i, who in enumerate(subjects):
                 for palm, style in LINES.items():
                     mine = [
                         (factor * row["level"], 100 * row["holding"]["share"])
                         for row in rows
-                        if (row["setting"], row["who"], row["palm"]) == (name, who, palm)
+                        if key_of(row)[:3] == (name, who, palm)
                     ]
                     panel.plot(
                         *np.array(sorted(mine)).reshape(-1, 2).T,
                         color=finger_colour(i),
                         ls=style,
-                        marker="o",
-                        ms=3.5,
+                        marker=MARKERS[i % len(MARKERS)],
+                        ms=4.5 - 0.5 * i,
                         label=f"{who}, palm {palm}",
                     )
-            panel.set(xlabel=label, ylim=(-3, 103))
+            panel.set(xlabel=label, ylim=(-5, 105), yticks=(0, 25, 50, 75, 100))
         for row in axes:
             row[0].set_ylabel("episodes held [%]")
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper left", ncols=2, labelcolor=INK)
+        # a column for each subject, as many as there is room for
+        ncols = min(len(subjects), columns)
+        figure.legend(
+            handles,
+            labels,
+            loc="outside upper left",
+            ncols=ncols,
+            labelcolor=INK,
+            handlelength=3.2,  # dashes are seen beside the marker
+        )
         with aside(path) as part:
             figure.savefig(part)
 
 
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the rows so far."""
-    keys = [(who, palm) for who in given.who for palm in LINES]
-    by = {(row["setting"], row["level"], row["who"], row["palm"]): row for row in rows}
+    keys = [(who, palm) for who in dict.fromkeys(row["who"] for row in rows) for palm in LINES]
+    by = {key_of(row): row for row in rows}
     lines = [
         [
-            label,
+            label.replace("$^2$", "^2"),
             f"{factor * level:g}",
             *(
                 f"{percent_interval(row['holding'])}, {row['rotation_rad']['median']:.1f} rad"
-                if (row := by.get((name, level, *key))) is not None
+                if (row := by.get((name, *key, level))) is not None
                 else ""
                 for key in keys
             ),
         ]
         for name, (label, factor, levels) in VARIED.items()
         for level in levels
-        if any((name, level, *key) in by for key in keys)
+        if any((name, *key, level) in by for key in keys)
     ]
     table = {
         "title": f"One setting at a time, the {given.object}, {given.trials} episodes of "
@@ -153,18 +178,37 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 def main() -> None:
     given = settings(Options, __doc__)
     check_chosen("setting", given.varied, VARIED)
-    rows = earlier("ranges", given)
-    done = {(row["who"], row["setting"], row["level"], row["palm"]) for row in rows}
-    for name, who, palm in product(given.varied, given.who, LINES):
-        for level in VARIED[name][2]:
-            if (who, name, level, palm) in done:
-                continue
-            rows.append(measure(who, name, level, palm, given))
-            save(rows, given, say=False)
-            progress(f"{who}, {name} {level:g}, palm {palm}: {rows[-1]['holding']['share']}")
-    save(rows, given, say=True)
+    rows = {key_of(row): row for row in earlier("ranges", given, (*FIXED, "object"))}
+    order = [
+        (name, who, palm, level)
+        for name in given.varied
+        for who in given.who
+        for palm in LINES
+        for level in VARIED[name][2]
+    ]
+
+    def in_order() -> list[dict[str, Any]]:
+        known = dict.fromkeys((*order, *rows))  # whichever was done first
+        return [rows[key] for key in known if key in rows]
+
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(given.jobs, spawn)
+    try:
+        waiting = {
+            pool.submit(measure, who, name, level, palm, given): (name, who, palm, level)
+            for name, who, palm, level in order
+            if (name, who, palm, level) not in rows
+        }
+        for done in as_completed(waiting):
+            name, who, palm, level = key = waiting[done]
+            rows[key] = done.result()
+            save(in_order(), given, say=False)
+            progress(f"{who}, {name} {level:g}, palm {palm}: {rows[key]['holding']['share']}")
+    finally:
+        pool.shutdown(cancel_futures=True)
+    save(in_order(), given, say=True)
     if given.picture is not None:
-        draw(given.picture, rows)
+        draw(given.picture, in_order())
 
 
 if __name__ == "__main__":

@@ -69,7 +69,10 @@ RUNS: dict[str, list[str]] = {
     "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
     "conditions.py": [*SHORT, "--conditions", "up", "all", "--objects", "cube"],
-    "ranges.py": [*SHORT, "--varied", "mass_range", "push_force", "--picture", "None"],
+    "ranges.py": [
+        *(*SHORT, "--varied", "centre_of_mass", "touch_dropout_range", "--jobs", "2"),
+        *("--picture", "None"),
+    ],
 }
 
 FIRST_SEEDS = {  # of those that do not begin with 0
