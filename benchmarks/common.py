@@ -40,6 +40,10 @@ PALMS = ("up", "down")
 FIXED = ("seed", "trials", "seconds")  # settings that rows of one result have in common
 # settings that a result does not tell: where things are
 _UNSAID = ("out", "resume", "picture", "peer", "runs")
+_ROWS = ("trials", "runs")  # what of a result are rows
+WITH = "measured_with"
+"""What a row calls the settings of the run that measured it; in a file, their place in the list
+of that name. None: in a result from before rows had it, nobody knows."""
 THREADS = 2  # of the physics in the timing benchmarks
 # of in-grasp manipulation; they give the same numbers
 ENGINES = {"compiled": "compiled (extra `fast`)", "plain": "numpy only"}
@@ -175,16 +179,36 @@ def trials(
 
 
 def earlier(name: str, given: Settings, fixed: Sequence[str] = FIXED) -> list[dict[str, Any]]:
-    """Rows that an interrupted run has left, where it had the same ``fixed`` settings."""
+    """Rows that an interrupted run has left, where it had the same ``fixed`` settings.
+
+    Each has the settings that it was measured with (``measured_with``), as `write` wants them.
+    """
     path = given.out / f"{name}.json"
     if not (given.resume and path.is_file()):
         return []
+    found = read(path)
     try:
-        found = json.loads(path.read_text())
         same = all(found["settings"][key] == getattr(given, key) for key in fixed)
         return found["trials"] if same else []
-    except (ValueError, LookupError, TypeError) as error:
+    except (LookupError, TypeError) as error:
         raise InvalidInput(f"{path} is no result to go on with: {error}") from error
+
+
+def read(path: Path) -> dict[str, Any]:
+    """A result whose rows have the settings that they were measured with, or None.
+
+    Raises:
+        InvalidInput: it is damaged.
+    """
+    try:
+        found = json.loads(path.read_text())
+        known = found.get(WITH, [])
+        for row in (row for name in _ROWS for row in found.get(name, [])):
+            number = row.get(WITH)
+            row[WITH] = None if number is None else known[number]
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise InvalidInput(f"{path} is no result to go on with: {error}") from error
+    return found
 
 
 def grid(
@@ -430,6 +454,10 @@ def write(
 ) -> Path:
     """Write ``name.json`` with settings and machine, aside first and then renamed.
 
+    ``settings`` are those of the last run. Rows that it has taken over from others (`earlier`)
+    keep theirs: ``measured_with`` has the settings that rows were measured with, each once, and
+    every row its place there.
+
     Args:
         name: of the script.
         given: its settings.
@@ -441,6 +469,7 @@ def write(
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / f"{name}.json"
     chosen = {key: value for key, value in asdict(given).items() if key not in _UNSAID}
+    known = _number_rows(numbers, json.loads(json.dumps(chosen, default=str)))
     where = machine()
     where["versions"]["numba"] = version("numba") if find_spec("numba") else "not installed"
     where["load"] = round(os.getloadavg()[0], 2)
@@ -449,6 +478,7 @@ def write(
         "figures": [asdict(figure) for figure in figures],
         "tables": list(tables),
         **numbers,
+        **({WITH: known} if known else {}),
         "settings": chosen,
         "machine": where,
     }
@@ -463,3 +493,19 @@ def write(
         print(table["title"], *(" | ".join(row) for row in table["rows"]), sep="\n")
     print(f"written: {path}")
     return path
+
+
+def _number_rows(numbers: dict[str, Any], now: dict[str, Any]) -> list[dict[str, Any]]:
+    """The settings that rows were measured with, each once; rows get their place in the list."""
+    known: list[dict[str, Any]] = []
+    for name in _ROWS:
+        if name not in numbers:
+            continue
+        numbered = []
+        for row in numbers[name]:
+            own = row.get(WITH, now)
+            if own is not None and own not in known:
+                known.append(own)
+            numbered.append({**row, WITH: None if own is None else known.index(own)})
+        numbers[name] = numbered
+    return known

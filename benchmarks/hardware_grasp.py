@@ -14,14 +14,13 @@ counted up to there.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Figure, Settings, over_seeds, progress, settings, share, write
+from common import Figure, Settings, over_seeds, progress, read, settings, share, write
 
 from dexctl import Controller, GraspState, controllers
 from dexctl.exceptions import MissingExtra
@@ -294,7 +293,7 @@ def _kept(given: GraspSettings) -> tuple[dict[str, Any] | None, list[dict[str, A
     path = given.out / "hardware_grasp.json"
     if not (given.resume and path.is_file()):
         return None, []
-    found = json.loads(path.read_text())
+    found = read(path)
     fixed = ("seed", "trials", "seconds", "trace_seconds")
     if any(found["settings"][key] != getattr(given, key) for key in fixed):
         return None, []

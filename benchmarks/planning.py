@@ -6,7 +6,6 @@ little. Each part can be measured by itself and adds its rows to the result.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from common import (
     Settings,
     check_chosen,
     progress,
+    read,
     settings,
     share,
     write,
@@ -212,7 +212,7 @@ def ablations(given: Options) -> list[dict[str, Any]]:
     return rows
 
 
-def ablation_table(rows: list[dict[str, Any]], given: Options) -> dict[str, Any]:
+def ablation_table(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """What K_max and alpha are worth, over the seeds."""
     lines = []
     for actions, scale in sorted({(r["actions"], r["scale"]) for r in rows}):
@@ -228,8 +228,9 @@ def ablation_table(rows: list[dict[str, Any]], given: Options) -> dict[str, Any]
             ]
         )
     seeds = len({r["seed"] for r in rows})
+    seconds = min(r["cpu_s"] for r in rows)  # rows may be of an earlier run, with other settings
     return {
-        "title": f"Random actions on the cylinder, palm up, {given.short:g} s of one processor, "
+        "title": f"Random actions on the cylinder, palm up, {seconds:.0f} s of one processor, "
         f"{seeds} seeds: what candidates and their size are worth (thesis: K_max, alpha)",
         "header": ["K_max", "alpha [rad]", "rotation [rad]: median (range)", "nodes", "expansions"],
         "rows": lines,
@@ -419,13 +420,13 @@ def main() -> None:
     path = given.out / "planning.json"
     rows: list[dict[str, Any]] = []
     if path.is_file():  # the parts that are not measured anew stay
-        rows = [r for r in json.loads(path.read_text())["trials"] if r["part"] not in given.parts]
+        rows = [r for r in read(path)["trials"] if r["part"] not in given.parts]
     for part in PARTS:
         if part not in given.parts:
             continue
         rows += MEASURE[part](given)
         some = [r for r in rows if r["part"] == "ablations"]
-        tables = [ablation_table(some, given)] if some else []
+        tables = [ablation_table(some)] if some else []
         last = part == given.parts[-1]
         write("planning", given, figures(rows, given), tables, say=last, trials=rows)
 

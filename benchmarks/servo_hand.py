@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from common import (
+    FIXED,
     FULL_TURN,
     Figure,
     Settings,
@@ -135,7 +136,7 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    rows = earlier("servo_hand", given)
+    rows = earlier("servo_hand", given, (*FIXED, "joint_offset"))
     done = {(row["who"], row["object"], row["seed"]) for row in rows}
     seeds = range(given.seed, given.seed + given.trials)
     pool = ThreadPoolExecutor(given.jobs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -189,6 +190,38 @@ def test_a_damaged_result_is_not_gone_on_with(tmp_path: Path) -> None:
     (line,) = done.stderr.splitlines()
     assert f"{path} is no result to go on with: " in line
     assert path.read_text() == '{"settings": {'
+
+
+def test_rows_keep_the_settings_that_they_were_measured_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+    common, ranges = (importlib.import_module(name) for name in ("common", "ranges"))
+    given = [ranges.Options(out=tmp_path, resume=True, object=name) for name in ("cube", "sphere")]
+
+    def objects_of_rows() -> list[str | None]:
+        found = json.loads(path.read_text())
+        numbers = [row["measured_with"] for row in found["trials"]]
+        known = found["measured_with"]
+        return [None if number is None else known[number]["object"] for number in numbers]
+
+    path = tmp_path / "some.json"
+    common.write("some", given[0], [], trials=[{"row": 0}, {"row": 1}], say=False)
+    assert objects_of_rows() == ["cube", "cube"]
+    for _ in range(2):  # what is taken over twice stays the same
+        rows = [*common.earlier("some", given[1])[:2], {"row": 2}]
+        common.write("some", given[1], [], trials=rows, say=False)
+        assert objects_of_rows() == ["cube", "cube", "sphere"]
+        found = json.loads(path.read_text())
+        assert len(found["measured_with"]) == 2
+        assert found["settings"]["object"] == "sphere"
+    for row in found["trials"]:  # as they were before rows had it
+        del row["measured_with"]
+    del found["measured_with"]
+    path.write_text(json.dumps(found))
+    rows = [*common.earlier("some", given[0]), {"row": 3}]
+    common.write("some", given[0], [], trials=rows, say=False)
+    assert objects_of_rows() == [None, None, None, "cube"]
 
 
 def test_results_are_there() -> None:
