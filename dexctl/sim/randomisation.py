@@ -26,6 +26,7 @@ _MAY_BE_ZERO = (
     "noise_range", "touch_threshold_range", "touch_dropout_range", "push_range",
     "gravity_turning_range",
 )  # fmt: skip
+_ANY = ("joint_offset_range",)  # may be below zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +72,10 @@ class Randomisation:
     """Weakest normal force that counts as touch [N], of each finger."""
     touch_dropout_range: Range | None = None
     """Probability that a touch is not felt in a control step."""
+    joint_offset_range: Range | None = None
+    """What each encoder reads at zero for an episode, of each joint [rad], as -0.05,0.05. It has
+    bounds, which the normal `joint_offset` has not; where both are set they add up. A range of
+    noises does not change it."""
     push_range: Range | None = None
     """Size of the force that pulls at the object [N]."""
     gravity_tilt: float = 0.0
@@ -86,7 +91,7 @@ class Randomisation:
         for one in fields(self):
             value = getattr(self, one.name)
             if one.name.endswith("_range") and value is not None:
-                _check_range(one.name, value, one.name in _MAY_BE_ZERO)
+                _check_range(one.name, value)
         check_numbers(
             self,
             not_negative=("centre_of_mass", "gravity_tilt"),
@@ -129,12 +134,17 @@ class Randomisation:
         return np.array([1.0]) if self.size_range is None else np.linspace(*self.size_range, 5)
 
 
-def _check_range(name: str, value: object, zero: bool) -> None:
+def _check_range(name: str, value: object) -> None:
     low, high = np.asarray(value, float)
-    if not (np.isfinite([low, high]).all() and (low >= 0 if zero else low > 0) and low <= high):
+    if name in _ANY:
+        right, which = True, ""
+    elif name in _MAY_BE_ZERO:
+        right, which = low >= 0, " from 0 on"
+    else:
+        right, which = low > 0, " above 0 on"
+    if not (np.isfinite([low, high]).all() and right and low <= high):
         raise InvalidInput(
-            f"{name} is {value}; expected two finite numbers {'from' if zero else 'above'} 0 on, "
-            "the lower one first"
+            f"{name} is {value}; expected two finite numbers{which}, the lower one first"
         )
 
 
@@ -152,6 +162,7 @@ class Drawn(NamedTuple):
         touch_dropout: ``(N,)``.
         push_force: ``(N,)`` [N].
         armature: a parameter of the simulator, as the first ones.
+        joint_offset: what the encoders read at zero by its range, ``(N, d)`` [rad].
     """
 
     friction: Floats
@@ -173,6 +184,7 @@ class Drawn(NamedTuple):
     touch_dropout: Floats
     push_force: Floats
     armature: Floats
+    joint_offset: Floats
 
 
 # which setting draws what, for all that is one number from one range
@@ -193,6 +205,7 @@ _RANGES = {
     "touch_threshold": "touch_threshold_range",
     "touch_dropout": "touch_dropout_range",
     "push_force": "push_range",
+    "joint_offset": "joint_offset_range",
 }
 _SHARES = ("kp", "kv", "damping")  # of what they are in the scene
 PHYSICAL = (
@@ -239,6 +252,7 @@ def nominal(
         touch_dropout=np.zeros(count),
         push_force=one(push.push_force),
         armature=each(lambda scene: scene.model.dof_armature[scene.qvel_columns]),
+        joint_offset=np.zeros((count, hand.nq)),
     )
 
 
@@ -285,10 +299,13 @@ class Randomiser:
     def draw(self, chosen: Bools) -> None:
         """Draw for the episodes that begin in the environments chosen, ``(N,)``."""
         found: dict[str, Floats] = {}
-        widths = [value[0].size for value in self.usual]
-        numbers = self.streams.uniform((sum(widths) + 2,), chosen)
-        parts = np.split(numbers, np.cumsum(widths), axis=1)
-        for name, part, nominal in zip(Drawn._fields, parts, self.usual, strict=False):
+        *widths, last = [value[0].size for value in self.usual]
+        numbers = self.streams.uniform((sum(widths) + 2 + last,), chosen)
+        # the axis of turning has its two before the last field, which came later: what an
+        # episode's other numbers are stays as it was
+        *parts, more, offsets = np.split(numbers, np.cumsum([*widths, 2]), axis=1)
+        parts.append(offsets)
+        for name, part, nominal in zip(Drawn._fields, parts, self.usual, strict=True):
             uniform = part.reshape(nominal.shape)
             if name in _RANGES:
                 value = self._from_range(name, uniform, nominal)
@@ -300,9 +317,8 @@ class Randomiser:
             else:
                 continue
             found[name] = value
-        field, more = self.usual.gravity, parts[-1]
         turned = parts[Drawn._fields.index("gravity")]
-        found["gravity"] = self._tilted(field, *turned.T)
+        found["gravity"] = self._tilted(self.usual.gravity, *turned.T)
         found["gravity_turning"] = self._turning(
             parts[Drawn._fields.index("gravity_turning")][:, 0], more
         )
@@ -377,7 +393,10 @@ class Randomiser:
         """Go on from what `save` returned."""
         self.streams.restore(StreamsState(**saved["streams"]))
         self.level = float(saved["level"])
-        self.drawn = Drawn(**{name: value.copy() for name, value in saved["drawn"].items()})
+        # what was saved before a field was there did not draw it
+        self.drawn = self.usual._replace(
+            **{name: value.copy() for name, value in saved["drawn"].items()}
+        )
 
 
 def _around(axis: Floats, angle: Floats) -> Floats:

@@ -114,6 +114,8 @@ class Sensor:
         self._reckoning = reckoning
         self._joint_touch = joint_touch
         self.offset: Floats | float = 0.0
+        self._own: Floats | float = 0.0  # by `joint_offset`; the others are given
+        self._given: Floats | float = 0.0
         self._period = control_period
         self._past: list[dict[str, np.ndarray]] = []  # steps + 1 readings, the oldest first
         batch = streams.batch_shape
@@ -123,7 +125,12 @@ class Sensor:
         self._dropout = np.zeros(batch)
 
     def set_errors(
-        self, noise: Floats, latency: Floats, threshold: Floats, dropout: Floats
+        self,
+        noise: Floats,
+        latency: Floats,
+        threshold: Floats,
+        dropout: Floats,
+        offset: Floats | float = 0.0,
     ) -> None:
         """Give the sensors of each environment their own errors; those of an episode.
 
@@ -132,7 +139,11 @@ class Sensor:
             latency: ``(N,)`` [s].
             threshold: weakest force that counts as touch, ``(N, m)`` [N].
             dropout: probability that a touch is not felt in a control step, ``(N,)``.
+            offset: what each encoder reads at zero beside what `joint_offset` makes of it,
+                ``(N, d)`` [rad].
         """
+        self._given = offset
+        self.offset = self._own + offset
         self._share, self._threshold, self._dropout = noise, threshold, dropout
         self._late = np.rint(np.asarray(latency) / self._period).astype(int)
         if not self._steps:
@@ -157,7 +168,7 @@ class Sensor:
         sensing = self._sensing
         if begin is not None:
             self._begin(begin, state.q.shape)
-        if sensing.joint_offset:
+        if np.any(self.offset):
             state = replace(state, q=state.q + self.offset, q_target=state.q_target + self.offset)
         seen = blurred(state, sensing, self.streams, begin, share=self._share)
         seen = self._felt(seen, begin)
@@ -233,7 +244,8 @@ class Sensor:
         if self._sensing.joint_offset:
             width = self._sensing.joint_offset * self._share[:, None]
             drawn = width * self.streams.normal(shape[1:], begin)
-            self.offset = np.where(begin[:, None], drawn, self.offset)
+            self._own = np.where(begin[:, None], drawn, self._own)
+            self.offset = self._own + self._given
 
     def save(self) -> dict[str, object]:
         """All that decides what is to come, to be given to `restore`."""
@@ -242,22 +254,23 @@ class Sensor:
             "streams": self.streams.save()._asdict(),
             "past": [dict(one) for one in self._past],
             "joint_touch": felt,
-            "offset": np.array(self.offset),
+            "offset": np.array(self._own),
             "reckoning": None if self._reckoning is None else self._reckoning.save(),
             "errors": {
                 "noise": self._share.copy(),
                 "latency": self._late * self._period,
                 "threshold": self._threshold.copy(),
                 "dropout": self._dropout.copy(),
+                "offset": np.array(self._given),
             },
         }
 
     def restore(self, saved: dict) -> None:
         """Go on from what `save` returned."""
         self.streams.restore(StreamsState(**saved["streams"]))
+        self._own = np.array(saved["offset"])
         self.set_errors(**saved["errors"])
         self._past = [dict(one) for one in saved["past"]]
-        self.offset = np.array(saved["offset"])
         if self._joint_touch is not None:
             self._joint_touch.load_state_dict(saved["joint_touch"])
         if self._reckoning is not None:

@@ -314,7 +314,11 @@ class Simulation:
                 drawn.speed_limit, drawn.torque_limit, drawn.action_latency, drawn.kp
             )
         self._sensor.set_errors(
-            drawn.noise, drawn.sensor_latency, drawn.touch_threshold, drawn.touch_dropout
+            drawn.noise,
+            drawn.sensor_latency,
+            drawn.touch_threshold,
+            drawn.touch_dropout,
+            drawn.joint_offset,
         )
         self._pusher.size = drawn.push_force
 

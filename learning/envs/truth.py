@@ -37,8 +37,8 @@ def truth_parts(simulation: Simulation) -> Mapping[str, Part]:
     The object's velocity ``(N, 6)`` [m/s, rad/s] and the net force of each fingertip on it
     ``(N, 3 m)`` [N], in the world's frame (both in the thesis's critic, chapter 5); what the
     encoders read at zero ``(N, d)`` [rad]; and what holds in each episode, as deviations from what
-    usually does. Gravity is a part of its own there, the motors' inertia is left out, and a limit
-    that there is not counts as not deviating.
+    usually does. Gravity and the offsets are parts of their own there, the motors' inertia is left
+    out, and a limit that there is not counts as not deviating.
     """
     sim, usual = simulation.sim, simulation.randomiser.usual
     size = features(usual, usual).shape[1]

@@ -34,6 +34,7 @@ EVERYTHING = Randomisation(
     sensor_latency_range=(0.0, 0.1),
     touch_threshold_range=(0.05, 0.5),
     touch_dropout_range=(0.0, 0.1),
+    joint_offset_range=(-0.05, 0.02),
     push_range=(0.0, 0.5),
     gravity_tilt=np.pi,
     gravity_turning_range=(0.0, 0.5),
@@ -61,6 +62,7 @@ def test_numbers_are_uniform_in_their_ranges(cylinder: Scene) -> None:
         ("speed_limit", 0.6, 3.0),
         ("sensor_latency", 0.0, 0.1),
         ("touch_dropout", 0.0, 0.1),
+        ("joint_offset", -0.05, 0.02),
     ):
         values = getattr(drawn, name)
         assert low <= values.min() < low + 0.01 * (high - low)
@@ -190,6 +192,50 @@ def test_a_restored_simulation_goes_on_with_the_same_bits() -> None:
             np.testing.assert_array_equal(getattr(found, name), value, name)
 
 
+def test_encoders_are_off_by_what_was_drawn_for_the_episode() -> None:
+    drawn = Randomisation(joint_offset_range=(-0.05, 0.05), noise_range=(0.0, 0.0))
+    for normal in (0.0, 0.1):  # its share of the noises is none, so it adds nothing
+        config = SceneConfig(
+            object=("cylinder",), randomisation=drawn, sensing=Sensing(joint_offset=normal)
+        )
+        with Simulation(config, 4, 0) as sim:
+            first = sim.randomiser.drawn.joint_offset.copy()
+            assert 0.04 < np.abs(first).max() <= 0.05
+            assert np.unique(first).size == first.size
+            for _ in range(3):
+                seen = sim.read()
+                np.testing.assert_allclose(seen.q, sim.state.q + first, atol=1e-12)
+                np.testing.assert_allclose(seen.q_target, sim.state.q_target + first, atol=1e-12)
+                np.testing.assert_allclose(sim.joint_offset, first, atol=1e-12)
+                sim.write(seen.q_target)  # as they are held: nothing moves by the offset
+                sim.step()
+                np.testing.assert_allclose(sim.state.q_target, seen.q_target - first, atol=1e-12)
+            sim.reset(None, np.array([True, False, True, False]))
+            again = sim.randomiser.drawn.joint_offset
+            np.testing.assert_array_equal((again == first).all(axis=1), [False, True, False, True])
+            np.testing.assert_allclose(sim.read().q, sim.state.q + again, atol=1e-12)
+
+
+FRICTION = [0.8638575565269407, 0.963248434826488]
+TURNING = [
+    [0.01024693458383043, 0.010669474386006619, 0.004611178695978196],
+    [-0.07982271210648129, 0.01954187459619449, -0.056978030893172465],
+]
+"""Of EVERYTHING by seed 3, before there were offsets; what was measured is measured by these."""
+
+
+def test_what_was_drawn_before_there_were_offsets_stays(cylinder: Scene) -> None:
+    made = randomiser(cylinder, EVERYTHING, 2, seed=3)
+    made.draw(np.ones(2, bool))
+    saved = made.save()
+    np.testing.assert_allclose(made.drawn.friction, FRICTION, rtol=1e-12)
+    np.testing.assert_allclose(made.drawn.gravity_turning, TURNING, rtol=1e-12)
+    del saved["drawn"]["joint_offset"]
+    made.restore(saved)
+    assert not made.drawn.joint_offset.any()
+    np.testing.assert_allclose(made.drawn.friction, FRICTION, rtol=1e-12)
+
+
 def test_every_size_begins_in_a_grasp() -> None:
     config = SceneConfig(object=("cylinder", "cube"), randomisation=EVERYTHING, threads=1)
     with Simulation(config, 40, 0) as sim:
@@ -272,6 +318,11 @@ def test_touch_drops_out_as_often_as_drawn() -> None:
         ({"gravity_tilt": 4.0}, "gravity_tilt is 4.0; expected 0 to pi"),
         ({"gravity_straight_share": 1.5}, "gravity_straight_share is 1.5; expected 0 to 1"),
         ({"centre_of_mass": -1.0}, "centre_of_mass is -1.0"),
+        (
+            {"joint_offset_range": (0.05, -0.05)},
+            r"joint_offset_range is \(0.05, -0.05\); expected two finite numbers, the lower",
+        ),
+        ({"joint_offset_range": (-np.inf, 0.05)}, "joint_offset_range is"),
     ],
 )
 def test_ranges_that_are_none(settings: dict[str, Any], said: str) -> None:
