@@ -16,7 +16,14 @@ from dexctl.hand import HandModel
 from dexctl.rotations import cross
 from dexctl.state import Floats
 from dexctl.symmetry import HandSymmetry, symmetries
-from learning.envs.observation import FINGERTIP_FORCE, JOINT_OFFSET, OBJECT_VELOCITY, Observation
+from learning.envs.observation import (
+    DRAWN,
+    FINGERTIP_FORCE,
+    JOINT_OFFSET,
+    OBJECT_VELOCITY,
+    Observation,
+)
+from learning.envs.truth import turned_features
 
 _TOLERANCE = 1e-6
 Turned = Callable[[HandSymmetry, Floats], Floats]
@@ -60,6 +67,7 @@ _TURNED: dict[str, Turned] = {
     OBJECT_VELOCITY: _velocities,
     FINGERTIP_FORCE: _points,
     JOINT_OFFSET: HandSymmetry.of_joints,
+    DRAWN: turned_features,
 }
 
 

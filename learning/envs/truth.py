@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from dexctl.sim.randomisation import Drawn
 from dexctl.sim.simulation import Simulation
 from dexctl.state import Floats
+from dexctl.symmetry import HandSymmetry
 from learning.envs.observation import DRAWN, FINGERTIP_FORCE, JOINT_OFFSET, OBJECT_VELOCITY, Part
 
 # what brings each to about unit size, from the value where nothing is drawn
@@ -29,6 +30,7 @@ _SCALES = {
     "push_force": 0.5,  # [N]
 }
 _SHARES = ("kp", "kv", "damping")  # of what they usually are, by tenths
+_JOINTS = (*_SHARES, "gear_friction")  # of which each joint has its own
 
 
 def truth_parts(simulation: Simulation) -> Mapping[str, Part]:
@@ -54,14 +56,41 @@ def features(drawn: Drawn, usual: Drawn) -> Floats:
     """``(N, k)`` numbers of about unit size."""
     found = []
     with np.errstate(invalid="ignore"):
-        for name, value in drawn._asdict().items():
-            nominal = getattr(usual, name)
+        for name in _seen(Drawn._fields):
+            value, nominal = getattr(drawn, name), getattr(usual, name)
             if name in _SHARES:
                 part = (value / np.where(nominal > 0, nominal, 1.0) - 1.0) * (nominal > 0) / 0.3
-            elif name in _SCALES:
+            else:
                 nominal = np.where(np.isfinite(nominal), nominal, 0.0)
                 part = np.where(np.isfinite(value), (value - nominal) / _SCALES[name], 0.0)
-            else:
-                continue
             found.append(part.reshape(len(value), -1))
     return np.concatenate(found, axis=1)
+
+
+def turned_features(one: HandSymmetry, values: Floats) -> Floats:
+    """`features` ``(N, k)`` of the hands that a symmetry makes of those with ``values``.
+
+    Single numbers stay. What a joint or a finger has goes to the one that it comes to, without a
+    sign, which gains do not have.
+    """
+    d, m = len(one.joints), len(one.fingers)
+    sizes = dict.fromkeys(_JOINTS, d) | {"touch_threshold": m}
+    sizes |= {"centre_of_mass": 3, "gravity_turning": 3}
+    found, start = values.copy(), 0
+    for name in _seen(Drawn._fields):
+        columns = slice(start, start + sizes.get(name, 1))
+        start, part = columns.stop, values[:, columns]
+        if name in _JOINTS:
+            found[:, columns][:, one.joints] = part
+        elif name == "touch_threshold":
+            found[:, columns] = one.of_fingers(part)
+        elif name == "gravity_turning":
+            found[:, columns] = one.of_turnings(part)
+        elif name == "centre_of_mass" and one.mirrors:  # in the object's frame, which turns along
+            found[:, columns] = part * [1.0, -1.0, 1.0]
+    return found
+
+
+def _seen(names: Iterable[str]) -> list[str]:
+    """Which of `Drawn` critics see, in their order."""
+    return [name for name in names if name in _SHARES or name in _SCALES]

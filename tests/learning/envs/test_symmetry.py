@@ -12,9 +12,13 @@ import pytest
 import dexctl
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import changed
+from dexctl.sim.randomisation import Drawn
+from dexctl.symmetry import HandSymmetry
 from learning.config import TrainConfig
 from learning.envs import PARTS, Observation
+from learning.envs.observation import Part
 from learning.envs.symmetry import Fixed, Symmetry
+from learning.envs.truth import features, turned_features
 
 UP = Fixed([np.array([0.0, 0.0, -9.81])])
 
@@ -109,6 +113,87 @@ def test_what_cannot_be_turned_is_refused(dex5: dexctl.HandModel) -> None:
         Symmetry(dex5, [Observation(dex5, ("q",), centre=(0.02, 0.01, 0.1))], UP)
     with pytest.raises(InvalidInput, match="symmetry is True and algorithm is 'ppo'"):
         changed(TrainConfig(), {"symmetry": True, "algorithm": "ppo", "method": "rl"})
+
+
+# two joints, two fingers: of each number of `Drawn` that critics see, what it becomes
+QUARTER = HandSymmetry(
+    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([1, 0]),
+    np.array([1, 0]),
+    np.array([1.0, -1.0]),
+)
+MIRROR = HandSymmetry(
+    np.diag([-1.0, 1.0, 1.0]), np.array([1, 0]), np.array([1, 0]), np.array([1.0, -1.0])
+)
+ROWS = {  # before, after a quarter turn about z, after the mirror image across x
+    "friction": ([1], [1], [1]),
+    "object_mass": ([2], [2], [2]),
+    "object_size": ([3], [3], [3]),
+    "centre_of_mass": ([4, 5, 6], [4, 5, 6], [4, -5, 6]),  # the object's own frame
+    "kp": ([7, 8], [8, 7], [8, 7]),
+    "kv": ([9, 10], [10, 9], [10, 9]),
+    "damping": ([11, 12], [12, 11], [12, 11]),
+    "gear_friction": ([13, 14], [14, 13], [14, 13]),
+    "gravity_turning": ([15, 16, 17], [-16, 15, 17], [15, -16, -17]),
+    "speed_limit": ([18], [18], [18]),
+    "torque_limit": ([19], [19], [19]),
+    "action_latency": ([20], [20], [20]),
+    "noise": ([21], [21], [21]),
+    "sensor_latency": ([22], [22], [22]),
+    "touch_threshold": ([23, 24], [24, 23], [24, 23]),
+    "touch_dropout": ([25], [25], [25]),
+    "push_force": ([26], [26], [26]),
+}
+
+
+def test_what_an_episode_drew_is_turned() -> None:
+    before, turned, mirrored = (
+        np.concatenate([np.array(row[k], float) for row in ROWS.values()])[None] for k in range(3)
+    )
+    np.testing.assert_allclose(turned_features(QUARTER, before), turned, atol=1e-12)
+    np.testing.assert_allclose(turned_features(MIRROR, before), mirrored, atol=1e-12)
+    # the order of the rows is that of what critics see: one number after the other stands out
+    nothing = Drawn(*(np.zeros((1, len(ROWS.get(name, ([0],))[0]))) for name in Drawn._fields))
+    usual, start = Drawn(*(row + 1.0 for row in nothing)), 0
+    for name, (row, _, _) in ROWS.items():
+        off = usual._replace(**{name: getattr(usual, name) + 1.0})
+        columns = np.flatnonzero(features(off, usual)[0])
+        assert columns.tolist() == list(range(start, start + len(row)))
+        start += len(row)
+
+
+def test_critics_that_see_what_was_drawn_are_turned(dex5: dexctl.HandModel) -> None:
+    pytest.importorskip("torch", reason="needs the extra 'learning'")
+    from learning.training.build import build_algorithm, build_env
+
+    ranges = {"friction_range": (0.6, 1.4), "stiffness_range": (0.7, 1.3), "num_envs": 2}
+    config = changed(
+        TrainConfig(),
+        {
+            "object": ("cube",),
+            "symmetry": True,
+            "critic_parts": ("drawn", "joint_offset"),
+            **ranges,
+        },
+    )
+    with contextlib.closing(build_env(config)) as env:
+        build_algorithm(config, env)
+        seen = env.observations
+        values = np.random.default_rng(0).normal(size=(5, sum(one.size for one in seen)))
+        turns = Symmetry(env.hand, seen, Fixed(UP.directions, [np.array([0.0, 0.0, 1.0])]))
+    found = turns.observation(np.arange(5), values)
+    columns = seen[1].slices["drawn"]
+    where = slice(seen[0].size + columns.start, seen[0].size + columns.stop)
+    np.testing.assert_array_equal(found[:, where][:, :3], values[:, where][:, :3])
+    kp = slice(where.start + 6, where.start + 6 + dex5.nq)
+    for row, one in enumerate(turns.elements):
+        np.testing.assert_array_equal(found[row, kp][one.joints], values[row, kp])
+
+
+def test_a_part_that_nobody_can_turn_is_refused(dex5: dexctl.HandModel) -> None:
+    more = {"smell": Part(lambda d, m: 1, lambda state: state.q[..., :1])}
+    with pytest.raises(InvalidInput, match="the part 'smell', which cannot be turned"):
+        Symmetry(dex5, [Observation(dex5, ("q", "smell"), more=more)], UP)
 
 
 def test_a_batch_to_learn_from_is_turned(dex5: dexctl.HandModel, state: dexctl.GraspState) -> None:

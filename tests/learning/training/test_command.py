@@ -121,7 +121,6 @@ def test_ctrl_c_says_what_is_saved_and_how_to_go_on(tmp_path: Path) -> None:
         ("--env.parts q smell", "unknown observation part 'smell'; known: q, q_target"),
         ("--env.critic-parts q", "critic_parts has q, and critics see what is in parts already"),
         ("--env.critic-parts drawn drawn", "critic_parts is .*each named once"),
-        ("--symmetry --env.critic-parts drawn", "the part 'drawn', which cannot be turned"),
         ("--start-from gravity --env.gravity-tilt 3", "start_from is 'gravity', .* gravity_tilt"),
         ("--start-from grasps --env.size-range 0.9,1.1", "start_from is 'grasps', .* size_range"),
         ("--env.sensor-latency 100", "sensor_latency is 100.0; expected 0 to 10 s"),
