@@ -23,6 +23,8 @@ from common import (
     write,
 )
 
+from dexctl.files import aside
+from dexctl.report.style import INK, drawing, finger_colour, new_figure
 from dexctl.settings import changed
 from dexctl.sim import SceneConfig
 from dexctl.sim.conditions import under
@@ -101,6 +103,8 @@ class Options(Settings):
     """Which."""
     cards: bool = False
     """Whether the policies' cards are to say what was measured."""
+    picture: Path | None = Path(__file__).resolve().parents[1] / "docs" / "images" / "survival.png"
+    """Where the survival curves of ten minutes are drawn, where there are any; None: nowhere."""
 
 
 def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any]:
@@ -121,7 +125,10 @@ def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any
         seed=given.seed,
     )
     found = evaluate(subject, changed(protocol, {"axis": own.task.axis}))
-    times, held = found.survival()
+    curves = {}
+    for name, near in (("survival", False), ("survival_near", True)):
+        times, held = found.survival(near=near)
+        curves[name] = {"time_s": times.round(2).tolist(), "share_held": held.round(4).tolist()}
     return {
         "who": who,
         "condition": chosen,
@@ -135,7 +142,7 @@ def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any
         "time_held_s": over_seeds(found.time_held),
         "fingertips_only": round(float(found.fingertips_only.mean()), 4),
         "drift_mm": over_seeds(1000.0 * found.drift),
-        "survival": {"time_s": times.round(2).tolist(), "share_held": held.round(4).tolist()},
+        **curves,
     }
 
 
@@ -191,6 +198,48 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     write("conditions", given, figures(rows), [table], trials=rows, say=say)
 
 
+def draw(path: Path, rows: list[dict[str, Any]]) -> None:
+    """A panel for each object: the share of ten-minute episodes that still hold it."""
+    long = [row for row in rows if row["condition"] == "endurance"]
+    objects = list(dict.fromkeys(row["object"] for row in long))
+    subjects = list(dict.fromkeys(row["who"] for row in long))
+    styles: dict[str, tuple[str, Any]] = {
+        "survival": ("50 mm", "-"),
+        "survival_near": ("25 mm", (0, (4, 2))),
+    }
+    with drawing():
+        figure = new_figure(0.8 + 3.4 * len(objects), 3.2)
+        panels = figure.subplots(1, len(objects), sharey=True, squeeze=False)[0]
+        shown: dict[str, Any] = {}
+        for panel, name in zip(panels, objects, strict=True):
+            mine = [row for row in long if row["object"] == name]
+            for row in mine:
+                i = subjects.index(row["who"])
+                for curve, (within, style) in styles.items():
+                    if curve not in row:  # measured before that was kept
+                        continue
+                    minutes = [t / 60 for t in (*row[curve]["time_s"], row["time_s"])]
+                    held = [100 * share for share in row[curve]["share_held"]]
+                    (line,) = panel.step(
+                        minutes,
+                        [*held, held[-1]],
+                        where="post",
+                        color=finger_colour(i),
+                        ls=style,
+                        lw=1.8,
+                    )
+                    shown.setdefault(f"{row['who']}, within {within}", line)
+            counts = sorted({row["holding"]["of"] for row in mine})
+            panel.set_title(f"{name}, {' or '.join(map(str, counts))} episodes")
+            panel.set(xlabel="time [min]", ylim=(-3, 103), xlim=(0, mine[0]["time_s"] / 60))
+        panels[0].set_ylabel("episodes that hold it [%]")
+        figure.legend(
+            shown.values(), shown.keys(), loc="outside upper left", ncols=3, labelcolor=INK
+        )
+        with aside(path) as part:
+            figure.savefig(part)
+
+
 def write_cards(rows: list[dict[str, Any]], given: Options) -> None:
     """What was measured, in the cards of the policies."""
     keys = ("object", "time_s", "holding", "revolutions_median", "speed_rad_s", "fingertips_only")
@@ -224,6 +273,8 @@ def main() -> None:
     save(rows, given, say=True)
     if given.cards:
         write_cards(rows, given)
+    if given.picture is not None and any(row["condition"] == "endurance" for row in rows):
+        draw(given.picture, rows)
 
 
 if __name__ == "__main__":

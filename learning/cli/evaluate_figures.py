@@ -44,7 +44,8 @@ def draw_rotation(path: Path, evaluations: Sequence[Evaluation]) -> None:
         for panel in axes[-1]:
             panel.set(xlabel="time [s]")
             panel.set_xlim(0, max(float(one.moments[-1]) for one in evaluations))
-        handles, labels = axes[0, 0].get_legend_handles_labels()
+        both = [panel.get_legend_handles_labels() for panel in axes[0]]
+        handles, labels = ([*one, *other] for one, other in zip(*both, strict=True))
         figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
         _save(figure, path)
 
@@ -64,14 +65,17 @@ def _rotation(axes: Axes, one: Evaluation) -> None:
 
 
 def _survival(axes: Axes, one: Evaluation) -> None:
-    moments = np.unique([0.0, *one.time_held[one.dropped], float(one.moments[-1])])
-    # steps: what holds up to and with a moment falls right after it
-    after = one.held(np.nextafter(moments, np.inf))
-    shares = np.array([wilson(int(n), len(one.rotation))[:3] for n in after]) * 100.0
-    value, low, high = shares.T
-    colour = finger_colour(1)
-    axes.fill_between(moments, low, high, step="post", color=colour, alpha=0.2, lw=0)
-    axes.step(moments, value, where="post", color=colour, lw=2.0)
+    for near, number, style in ((False, 1, "-"), (True, 2, (0, (4, 2)))):
+        ends = one.time_near[one.strayed] if near else one.time_held[one.dropped]
+        moments = np.unique([0.0, *ends, float(one.moments[-1])])
+        # steps: what holds up to and with a moment falls right after it
+        after = one.held(np.nextafter(moments, np.inf), near=near)
+        shares = np.array([wilson(int(n), len(one.rotation))[:3] for n in after]) * 100.0
+        value, low, high = shares.T
+        colour, distance = finger_colour(number), one.protocol.task.drop_distance
+        label = f"within {1e3 * distance / (2 if near else 1):g} mm"
+        axes.fill_between(moments, low, high, step="post", color=colour, alpha=0.2, lw=0)
+        axes.step(moments, value, where="post", color=colour, ls=style, lw=2.0, label=label)
     axes.set(ylabel="episodes that hold it [%]", ylim=(0, 102))
 
 

@@ -59,9 +59,10 @@ def write(
     if matrix is not None:
         files.write_transfer(folder / "transfer.csv", matrix)
     else:
-        files.write_figures(folder / "figures.csv", found)
-        files.write_curves(folder / "curves.csv", found)
-        files.write_episodes(folder / "episodes.csv", found)
+        conditions = result["conditions"]
+        files.write_figures(folder / "figures.csv", found, conditions)
+        files.write_curves(folder / "curves.csv", found, conditions)
+        files.write_episodes(folder / "episodes.csv", found, conditions)
     try:
         _draw(folder, found, matrix)
     except MissingExtra as error:  # the numbers are worth more than the figures

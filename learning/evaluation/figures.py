@@ -108,9 +108,15 @@ class Evaluation:
         held = self.time_held > 0
         return np.where(held, self.rotation / np.where(held, self.time_held, 1.0), 0.0)
 
-    def held(self, moments: Floats) -> Floats:
-        """How many episodes still hold the object, ``(K,)``, at times ``(K,)`` [s]."""
-        gone = np.where(self.dropped, self.time_held, np.inf)
+    def held(self, moments: Floats, *, near: bool = False) -> Floats:
+        """How many episodes still hold the object, ``(K,)``, at times ``(K,)`` [s].
+
+        Args:
+            moments: the times.
+            near: by the stricter rule: hold it within half the drop distance.
+        """
+        gone, ended = (self.strayed, self.time_near) if near else (self.dropped, self.time_held)
+        gone = np.where(gone, ended, np.inf)
         return (gone >= moments[:, None]).sum(axis=1)
 
     def survival(self, *, near: bool = False) -> tuple[Floats, Floats]:

@@ -14,12 +14,14 @@ from learning.evaluation.figures import Evaluation
 from learning.evaluation.robustness import KINDS, levels_of
 from learning.evaluation.transfer import Transfer
 
-_DISTURBED = [*KINDS, "sensor_latency"]
+_WHERE = ["object", "conditions", *KINDS, "sensor_latency"]
 QUANTILES = (10, 25, 50, 75, 90)
 
 
-def write_episodes(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
-    """One row for each episode."""
+def write_episodes(
+    path: str | Path, evaluations: Iterable[Evaluation], conditions: Sequence[str] = ()
+) -> None:
+    """One row for each episode; the names of the ``conditions`` stand in each."""
     outcome = [
         "rotation_rad", "time_held_s", "dropped", "strayed", "time_near_s", "diverged", "return",
         "fingertips_only_share", "drift_m",
@@ -33,11 +35,13 @@ def write_episodes(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
             one.goals_reached, one.goals_missed, one.goals_in_a_row, one.first_goal_time,
         )  # fmt: skip
         for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
-            rows.append([one.object, *_disturbance(one), one.protocol.seed + i, *row])
-    _write(path, ["object", *_DISTURBED, "seed", *outcome], rows)
+            rows.append([*_where(one, conditions), one.protocol.seed + i, *row])
+    _write(path, [*_WHERE, "seed", *outcome], rows)
 
 
-def write_figures(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
+def write_figures(
+    path: str | Path, evaluations: Iterable[Evaluation], conditions: Sequence[str] = ()
+) -> None:
     """One row for each evaluation: every figure with its interval."""
     rows, names = [], []
     for one in evaluations:
@@ -45,22 +49,27 @@ def write_figures(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
         names = [f"{name}{end}" for name in figures for end in ("", "_low", "_high")]
         numbers = [number for figure in figures.values() for number in figure[:3]]
         count = one.protocol.episodes
-        rows.append([one.object, *_disturbance(one), count, *numbers, int(one.diverged.sum())])
-    _write(path, ["object", *_DISTURBED, "episodes", *names, "diverged"], rows)
+        rows.append([*_where(one, conditions), count, *numbers, int(one.diverged.sum())])
+    _write(path, [*_WHERE, "episodes", *names, "diverged"], rows)
 
 
-def write_curves(path: str | Path, evaluations: Iterable[Evaluation]) -> None:
-    """Rotation over time: quantiles over episodes, and the share that still holds the object."""
+def write_curves(
+    path: str | Path, evaluations: Iterable[Evaluation], conditions: Sequence[str] = ()
+) -> None:
+    """Rotation over time: quantiles over episodes, and the shares that still hold the object.
+
+    Held is within the drop distance, near within half of it.
+    """
     rows = []
     for one in evaluations:
         quantiles = np.percentile(one.rotations, QUANTILES, axis=1).T
-        held = one.held(one.moments)
-        for time, row, count in zip(one.moments, quantiles, held, strict=True):
-            share = wilson(int(count), len(one.rotation))[:3]
-            rows.append([one.object, *_disturbance(one), round(float(time), 6), *row, *share])
+        held = (one.held(one.moments), one.held(one.moments, near=True))
+        for time, row, *counts in zip(one.moments, quantiles, *held, strict=True):
+            shares = [n for count in counts for n in wilson(int(count), len(one.rotation))[:3]]
+            rows.append([*_where(one, conditions), round(float(time), 6), *row, *shares])
     names = [f"rotation_p{q}_rad" for q in QUANTILES]
-    held = ["share_held", "share_held_low", "share_held_high"]
-    _write(path, ["object", *_DISTURBED, "time_s", *names, *held], rows)
+    shares = [f"share_{rule}{end}" for rule in ("held", "near") for end in ("", "_low", "_high")]
+    _write(path, [*_WHERE, "time_s", *names, *shares], rows)
 
 
 def write_transfer(path: str | Path, found: Transfer) -> None:
@@ -80,8 +89,10 @@ def write_transfer(path: str | Path, found: Transfer) -> None:
     _write(path, ["policy", "trained_on", "object", *columns], rows)
 
 
-def _disturbance(one: Evaluation) -> list[float]:
-    return [*levels_of(one.protocol).values(), one.protocol.scene.sensing.sensor_latency]
+def _where(one: Evaluation, conditions: Sequence[str]) -> list[str | float]:
+    levels = levels_of(one.protocol).values()
+    latency = one.protocol.scene.sensing.sensor_latency
+    return [one.object, " ".join(conditions), *levels, latency]
 
 
 def _write(path: str | Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -69,7 +69,9 @@ RUNS: dict[str, list[str]] = {
     "servo_hand.py": [*SHORT, "--objects", "cylinder"],
     "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z"],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
-    "conditions.py": [*SHORT, "--conditions", "up", "all", "--objects", "cube"],
+    "conditions.py": [
+        *(*SHORT, "--conditions", "up", "all", "--objects", "cube", "--picture", "None"),
+    ],
     "ranges.py": [
         *(*SHORT, "--varied", "centre_of_mass", "touch_dropout_range", "--jobs", "2"),
         *("--picture", "None"),

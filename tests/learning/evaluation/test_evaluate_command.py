@@ -65,8 +65,19 @@ def test_a_controller_in_its_place(tmp_path: Path, capsys: pytest.CaptureFixture
     curves = list(csv.DictReader((tmp_path / "out" / "curves.csv").open()))
     assert len(curves) == 42 * 3
     assert curves[2]["time_s"] == "0.1" and curves[2]["share_held"] == "1.0"
+    assert curves[2]["share_near"] == "1.0" and curves[2]["share_near_low"] != "1.0"
+    assert {row["conditions"] for row in (*curves, *figures)} == {""}
     for name in ("rotation.png", "robustness.png"):
         assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_files_say_the_conditions(tmp_path: Path) -> None:
+    names = ("everything", "any-gravity")
+    arguments = ("--episodes", "2", "--seconds", "0.1", "--out", str(tmp_path / "out"))
+    assert run("hold", "--conditions", *names, *arguments) == 0
+    for name in ("figures.csv", "curves.csv", "episodes.csv"):
+        rows = list(csv.DictReader((tmp_path / "out" / name).open()))
+        assert {row["conditions"] for row in rows} == {"everything any-gravity"}
 
 
 def test_one_table_of_figures(capsys: pytest.CaptureFixture[str]) -> None:

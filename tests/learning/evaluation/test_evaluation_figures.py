@@ -253,6 +253,11 @@ def test_the_sweeps_go_as_far_as_the_thesis_does() -> None:
 def test_how_many_hold_it() -> None:
     found = made([1.0, 7.0, 3.0], [0.5, 1.0, 1.0], [True, False, True])
     np.testing.assert_array_equal(found.held(np.array([0.0, 0.5, 0.75, 1.0, 1.5])), [3, 3, 2, 2, 1])
+    strict = replace(
+        found, strayed=np.array([True, True, False]), time_near=np.array([0.2, 0.9, 1.0])
+    )
+    moments = np.array([0.0, 0.2, 0.5, 1.0])
+    np.testing.assert_array_equal(strict.held(moments, near=True), [3, 3, 2, 1])
 
 
 @pytest.mark.parametrize(
