@@ -6,11 +6,22 @@ Any controller or policy can be named instead; a policy must see what is wanted.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import pi
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
 
-from common import FULL_TURN, Figure, Settings, earlier, progress, settings, write
+from common import (
+    FIXED,
+    FULL_TURN,
+    Figure,
+    Settings,
+    check_chosen,
+    earlier,
+    progress,
+    settings,
+    write,
+)
 
 from dexctl.gait import CommandedTurning, GoalSequence
 from dexctl.planning import sample_grasps
@@ -24,6 +35,12 @@ from learning.policies import Policy
 
 Pose = Literal["tracked", "odometry"]
 AXES = ("x", "-x", "y", "-y", "z", "-z")
+PARTS = ("goals", "axes", "changing", "long")
+CHANGING = "changing"  # what is asked for where one command comes after the other
+FLOOR = 0.8
+"""Share of first goals that a controller has to reach at least."""
+GOAL = {"cube": (0.96, 7.0), "uniform": (0.96, 7.0)}
+"""What is asked for: that share, and the median time to the first goal [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +54,17 @@ class Options(Settings):
         "commanded:dex5-easy-any,dex5-sphere-x",
     )
     """Controllers, policies, policy files or run folders."""
+    parts: tuple[str, ...] = PARTS
+    """Which: goals, axes that stay for an episode, axes of which another is commanded every now and
+    then (changing), and orientations of a cube in longer episodes (long)."""
     trials: int = 96
     """Episodes of each kind of goals and of each axis."""
     seconds: float = 60.0
-    """Of episodes with goals."""
+    """Of episodes with goals, and of those whose commands change."""
+    long: float = 150.0
+    """Of the longer episodes [s]."""
+    command_seconds: float = 10.0
+    """How long each command holds where they change [s]."""
     turning: float = 30.0
     """Of episodes about one axis [s]."""
     object: str = "cube"
@@ -49,8 +73,9 @@ class Options(Settings):
     """That are turned about commanded axes, by policies that were trained with them."""
     goals: tuple[Goals, ...] = ("yaw", "cube", "uniform", "root")
     """Kinds of goals; to the root it is from grasps that are sampled all over the object."""
-    palms: tuple[str, ...] = ("up", "down")
-    """Which way it looks; down for orientations of a cube alone, where the pose is tracked."""
+    palms: tuple[str, ...] = ("up", "down", "any")
+    """Which way it looks, any: uniform on the sphere, for each episode; down and any for
+    orientations of a cube alone, where the pose is tracked."""
     starts: int = 200
     """How many grasps are sampled for the way to the root."""
     poses: tuple[Pose, ...] = ("tracked", "odometry")
@@ -60,12 +85,27 @@ class Options(Settings):
 
 
 class Asked(NamedTuple):
-    """What a subject is asked for: goals of a kind, or an axis."""
+    """What a subject is asked for, in episodes of so many seconds: goals of a kind, or axes."""
 
     what: str
     object: str
+    seconds: float
     pose: Pose = "tracked"
     palm: str = "up"
+
+
+def asked_of(row: dict[str, Any], given: Options) -> Asked:
+    """What a row was asked for; those of earlier results do not say all of it."""
+    usual = given.turning
+    if row["what"] in GOALS:
+        usual = given.seconds / 2 if row["what"] == "root" else given.seconds
+    return Asked(
+        row["what"],
+        row["object"],
+        row.get("seconds", usual),
+        row["pose"],
+        row.get("palm", "up"),
+    )
 
 
 def sampled(name: str, palm: str, given: Options) -> GraspStates:
@@ -78,21 +118,23 @@ def measure(subject: Subject, asked: Asked, given: Options) -> dict[str, Any]:
     """One controller with one kind of goals, or about one axis."""
     what: Any = asked.what
     if what in GOALS:
-        root = what == "root"
-        seconds = given.seconds / 2 if root else given.seconds
-        reorientation = ReorientationConfig(goal_count=1 if root else 1000)
+        reorientation = ReorientationConfig(goal_count=1 if what == "root" else 1000)
         task = TaskConfig(goals=what, reorientation=reorientation)
+    elif what == CHANGING:
+        commands = TurningConfig(commands=given.axes, command_seconds=given.command_seconds)
+        task = TaskConfig(turning=commands)
     else:  # one command for all of the episode
-        seconds, most = given.turning, given.turning + 1.0
+        most = asked.seconds + 1.0
         task = TaskConfig(turning=TurningConfig(commands=(what,), command_seconds=most))
     protocol = changed(
         replace(subject.protocol(), task=task),
         {
             "object": asked.object,
-            "gravity": asked.palm,
+            "gravity": "up" if asked.palm == "any" else asked.palm,
+            "gravity_tilt": pi if asked.palm == "any" else 0.0,
             "object_pose": asked.pose,
             "episodes": given.trials,
-            "seconds": seconds,
+            "seconds": asked.seconds,
             "seed": given.seed,
         },
     )
@@ -107,14 +149,28 @@ def measure(subject: Subject, asked: Asked, given: Options) -> dict[str, Any]:
 
 def wanted(subject: Subject, given: Options) -> list[Asked]:
     """What a subject can be asked for, and how the object's pose is known then."""
-    goals = [
-        Asked(what, given.object, pose, palm)
-        for palm in given.palms
-        for pose in given.poses
-        for what in given.goals
-        if palm == "up" or (what, pose) == ("cube", "tracked")
-    ]
-    axes = [Asked(what, name) for name in given.turned for what in given.axes]
+    goals, axes = [], []
+    if "goals" in given.parts:
+        goals = [
+            Asked(
+                what,
+                given.object,
+                given.seconds / 2 if what == "root" else given.seconds,
+                pose,
+                palm,
+            )
+            for palm in given.palms
+            for pose in given.poses
+            for what in given.goals
+            if palm == "up" or (what, pose) == ("cube", "tracked")
+        ]
+    if "long" in given.parts:
+        goals.append(Asked("cube", given.object, given.long))
+    for name in given.turned:
+        if "axes" in given.parts:
+            axes += [Asked(what, name, given.turning) for what in given.axes]
+        if CHANGING in given.parts:
+            axes.append(Asked(CHANGING, name, given.seconds))
     if isinstance(subject.controller, GoalSequence):
         return goals
     if isinstance(subject.controller, CommandedTurning):
@@ -128,17 +184,35 @@ def wanted(subject: Subject, given: Options) -> list[Asked]:
     return found + (axes if TURNING in parts else [])
 
 
+def percent(one: dict[str, float]) -> str:
+    """A share for people with its interval."""
+    return f"{100 * one['value']:.0f} % ({100 * one['low']:.0f}-{100 * one['high']:.0f})"
+
+
+def goal_figures(row: dict[str, Any], asked: Asked) -> list[Figure]:
+    """Of first goals, the floor and what is asked for in a line each."""
+    reached, time = (row[name] for name in ("share_first_goal_reached", "first_goal_median_s"))
+    palm = {"up": "", "down": ", palm down", "any": ", any way up"}[asked.palm]
+    what = f"{row['who']}: first goals reached ({asked.what}, {asked.pose}{palm}), "
+    what += f"{asked.seconds:g} s"
+    measured = f"{percent(reached)}, median {time['value']:.1f} s"
+    found = [Figure(what, measured, f"floor: {100 * FLOOR:.0f} %", reached["value"] >= FLOOR)]
+    if asked.what in GOAL:
+        share, most = GOAL[asked.what]
+        good = reached["value"] >= share and time["value"] <= most
+        found.append(Figure(what, measured, f"{100 * share:.0f} % in {most:g} s", good))
+    return found
+
+
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the rows so far."""
-
-    def percent(one: dict[str, float]) -> str:
-        return f"{100 * one['value']:.0f} % ({100 * one['low']:.0f}-{100 * one['high']:.0f})"
 
     def number(one: dict[str, float], digits: int = 1) -> str:
         return f"{one['value']:.{digits}f} ({one['low']:.{digits}f}-{one['high']:.{digits}f})"
 
     goals = [row for row in rows if row["what"] in GOALS]
-    axes = [row for row in rows if row["what"] not in GOALS]
+    changing = [row for row in rows if row["what"] == CHANGING]
+    axes = [row for row in rows if row["what"] not in (*GOALS, CHANGING)]
     cells = {
         (row["who"], row["object"], row["what"]): f"{number(row['rotation_median_rad'])}, "
         f"{percent(row['share_dropped'])}"
@@ -146,18 +220,18 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     }
     tables = [
         {
-            "title": f"Goal orientations of a {given.object}, {given.trials} episodes of "
-            f"{given.seconds:g} s (to the root half of that, from sampled grasps), 30 s for each "
-            "goal: reached within 0.2 rad and at rest",
+            "title": f"Goal orientations of a {given.object}, {given.trials} episodes (to the root "
+            "from sampled grasps), 30 s for each goal: reached within 0.2 rad and at rest",
             "header": [
-                "goals", "palm", "pose", "", "first goal", "all goals", "to the first [s]",
-                "in a row", "dropped",
+                "goals", "palm", "pose", "episodes of [s]", "", "first goal", "all goals",
+                "to the first [s]", "in a row", "dropped",
             ],
             "rows": [
                 [
                     row["what"],
                     row.get("palm", "up"),
                     row["pose"],
+                    f"{asked_of(row, given).seconds:g}",
                     row["who"],
                     percent(row["share_first_goal_reached"]),
                     percent(row["share_goals_reached"]),
@@ -177,18 +251,22 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
                 for who, name in dict.fromkeys((row["who"], row["object"]) for row in axes)
             ],
         },
+        {
+            "title": f"Turning about one axis after the other, another one commanded every "
+            f"{given.command_seconds:g} s, palm up, {given.trials} episodes of {given.seconds:g} s",
+            "header": ["", "object", "rotation before any drop: median [rad]", "dropped"],
+            "rows": [
+                [
+                    row["who"],
+                    row["object"],
+                    number(row["rotation_median_rad"]),
+                    percent(row["share_dropped"]),
+                ]
+                for row in changing
+            ],
+        },
     ]  # fmt: skip
-    found = [
-        Figure(
-            f"{row['who']}: first goals reached ({row['what']}, {row['pose']}"
-            f"{', palm down' if row.get('palm') == 'down' else ''})",
-            f"{percent(row['share_first_goal_reached'])}, median "
-            f"{row['first_goal_median_s']['value']:.1f} s",
-            "80 %",
-            row["share_first_goal_reached"]["value"] >= 0.8,
-        )
-        for row in goals
-    ]
+    found = [one for row in goals for one in goal_figures(row, asked_of(row, given))]
     for who, name in dict.fromkeys((row["who"], row["object"]) for row in axes):
         own = [row for row in axes if (row["who"], row["object"]) == (who, name)]
         good = [
@@ -212,16 +290,17 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    rows = earlier("reorientation", given)
-    names = ("who", "what", "object", "pose")
-    done = {(*(row[name] for name in names), row.get("palm", "up")) for row in rows}
+    check_chosen("part", given.parts, PARTS)
+    check_chosen("palm", given.palms, ("up", "down", "any"))
+    rows = earlier("reorientation", given, (*FIXED, "turning"))
+    done = {(row["who"], *asked_of(row, given)) for row in rows}
     for name in given.who:
         subject = open_subject(name)
         for asked in wanted(subject, given):
             if (name, *asked) not in done:
                 rows.append({"who": name, **asked._asdict(), **measure(subject, asked, given)})
                 save(rows, given, say=False)
-                progress(", ".join((name, *asked)))
+                progress(", ".join(map(str, (name, *asked))))
     save(rows, given, say=True)
 
 

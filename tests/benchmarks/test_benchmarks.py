@@ -67,7 +67,10 @@ RUNS: dict[str, list[str]] = {
     ],
     "predictive_sampling.py": [*SHORT],
     "servo_hand.py": [*SHORT, "--objects", "cylinder"],
-    "reorientation.py": [*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z"],
+    "reorientation.py": [
+        *(*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z", "--long", "1"),
+        *("--command-seconds", "0.2"),
+    ],
     "robustness.py": [*SHORT, "--conditions", "all_noise", "friction_0.6", "untracked"],
     "conditions.py": [
         *(*SHORT, "--conditions", "up", "all", "--objects", "cube", "--picture", "None"),
