@@ -60,7 +60,8 @@ class Sensing:
     touch_threshold: float = 0.05
     """Weakest normal force that counts as touch [N]."""
     sensor_latency: float = 0.0
-    """How old what is sensed is, rounded to control steps [s], at most 10."""
+    """How old what is sensed is, rounded to control steps [s], at most 10. Two readings are not
+    mixed: a finger touches or not, and contact points of two moments have no middle."""
 
     def __post_init__(self) -> None:
         check_name("touch", self.touch, TOUCHES)
