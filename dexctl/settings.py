@@ -37,6 +37,10 @@ T = TypeVar("T")
 FILE_OR_NAME = "a file, or a name"
 """Marks a text that may be the path of a file (`dexctl.files.is_path`); see `absolute`."""
 
+BY_PATH = "settings by their paths"
+"""Marks a nested configuration whose settings go by their paths only, so that their own names stay
+those of others: the ``substeps`` of a way to plan and of the physics. See `leaves`."""
+
 NESTED = tyro.conf.arg(name="")
 """Marks a nested configuration whose settings go without its name on the command line."""
 
@@ -222,10 +226,14 @@ def by_path(kind: type, values: Mapping[str, Any], where: str = "") -> dict[str,
 
 @cache
 def leaves(kind: type) -> Mapping[str, str]:
-    """The dotted path of each setting below ``kind``, by its own name; repeated names are out."""
+    """The dotted path of each setting below ``kind``, by its own name.
+
+    Repeated names are out, and what is marked with `BY_PATH`.
+    """
     found: dict[str, list[str]] = {}
     for path in paths(kind):
-        found.setdefault(path.rpartition(".")[2], []).append(path)
+        if not path.startswith(_by_path(kind)):
+            found.setdefault(path.rpartition(".")[2], []).append(path)
     return {name: those[0] for name, those in found.items() if len(those) == 1}
 
 
@@ -262,6 +270,18 @@ def absolute(config: C, folder: Path) -> C:
         elif isinstance(value, str) and is_path(value) and path in _files_or_names(type(config)):
             found[path] = str((folder / Path(value).expanduser()).resolve())
     return changed(config, found)
+
+
+@cache
+def _by_path(kind: type) -> tuple[str, ...]:
+    """How the dotted paths begin that are below a configuration marked with `BY_PATH`."""
+    found: list[str] = []
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if get_origin(hint) is Annotated and BY_PATH in get_args(hint):
+            found.append(f"{name}.")
+        elif is_dataclass(inner := _hints(kind).get(name)):
+            found += (f"{name}.{below}" for below in _by_path(cast(type, inner)))
+    return tuple(found)
 
 
 @cache

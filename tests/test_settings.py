@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import (
+    BY_PATH,
     NESTED,
     Vector,
     absolute,
@@ -82,6 +83,33 @@ def test_leaves_have_paths_and_repeated_names_have_none() -> None:
     assert "rate" not in leaves(Run)
     assert list(paths(Scene))[-2:] == ["noise.joint", "noise.rate"]
     assert get(Run(), "scene.noise.rate") == 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    size: float = 1.0
+    far: float = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    scene: Scene = Scene()
+    way: Annotated[Way, BY_PATH] = Way()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whole:
+    planned: Planned = Planned()
+
+
+def test_settings_that_go_by_their_paths_take_no_name_from_others() -> None:
+    assert leaves(Whole)["size"] == "planned.scene.size"
+    assert "far" not in leaves(Whole) and "planned.way.far" in paths(Whole)
+    made = changed(Whole(), {"size": 3, "planned.way.size": 4})
+    assert (made.planned.scene.size, made.planned.way.size) == (3.0, 4.0)
+    assert from_plain(Whole, to_plain(made)) == made
+    with pytest.raises(UnknownName, match="setting 'far'"):
+        changed(Whole(), {"far": 1.0})
 
 
 @given(

@@ -12,8 +12,11 @@ from dexctl.planning.nodes import put
 from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
+from dexctl.settings import from_plain
 from dexctl.sim import BatchSimulator, Scene
 from dexctl.state import Bools
+
+_LASTING = 2.0  # how long set-points are held at least, where nothing else is said [s]
 
 
 def holding(
@@ -33,7 +36,7 @@ def holding(
         scene: that of the tree.
         tree: whose nodes.
         index: numbers of nodes ``(K,)``, or a mask; None: all.
-        stability: None: the default check, for 2 s.
+        stability: None: the tree's own check, for 2 s at least.
         batch: how many at a time.
         threads: of the physics; None: every core.
 
@@ -44,7 +47,7 @@ def holding(
     same = header.joint_names == joints and header.object == scene.object
     if not (same and np.allclose(header.gravity, scene.gravity)):
         raise InvalidInput(f"the tree is {tree!r} under {header.gravity}; the scene is {scene!r}")
-    check = stability or replace(Stability(), seconds=2.0)
+    check = stability or _lasting(tree)
     nodes = tree.nodes if index is None else tree.nodes.take(index)
     found = np.zeros(len(nodes), bool)
     stepping = Stepping.of(header.scene)._asdict()
@@ -56,3 +59,9 @@ def holding(
             put(sim, nodes.take(np.resize(rows, batch)))
             found[rows] = check.check(sim, mask).stable[: len(rows)]
     return found
+
+
+def _lasting(tree: Tree) -> Stability:
+    """The check that the tree was grown with, long enough to see a slow fall."""
+    own = from_plain(Stability, tree.header.settings.get("stability", {}), "settings.stability")
+    return replace(own, seconds=max(own.seconds, _LASTING))

@@ -108,7 +108,7 @@ def sample_grasps(
 
     The object is put somewhere near the settled grasp, any way round; fingertips are put on an
     annulus that overlaps its surface; what has enough of them in touch after a while, nothing
-    else, and holds, is a grasp.
+    else (`Stability.fingertips_only`), and holds, is a grasp.
 
     Args:
         scene: hand, object and gravity.
@@ -277,7 +277,7 @@ def _settled(
     for _ in range(max(1, round(config.settle_seconds / sim.control_period))):
         sim.step(reached)
     touch = sim.read().in_contact.sum(axis=1) >= config.min_contacts
-    clean = (sim.other_contact == 0) & ~sim.diverged
+    clean = ((sim.other_contact == 0) | (not check.fingertips_only)) & ~sim.diverged
     why["contacts"] = int((reached & ~touch).sum())
     why["other contact"] = int((reached & touch & ~clean).sum())
     hopeful = reached & touch & clean

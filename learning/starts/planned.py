@@ -8,15 +8,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from dexctl.exceptions import InvalidInput
-from dexctl.planning import (
-    ControllerMacros,
-    Expansion,
-    Kinematic,
-    RandomActions,
-    grow,
-    path_states,
-    sample_grasps,
-)
+from dexctl.planning import grow, path_states, sample_grasps
 from dexctl.sim import Scene, SceneConfig
 from dexctl.sim.grasp_states import GraspStates
 from learning.envs.vector import ManipulationVectorEnv
@@ -28,9 +20,6 @@ if TYPE_CHECKING:
 
 PLANNED = ("grasps", "paths")
 """Names of the starts that are planned before a training."""
-_EXPANSIONS: dict[str, type[Expansion]] = {
-    "kinematic": Kinematic, "controllers": ControllerMacros, "random": RandomActions,
-}  # fmt: skip
 
 
 def planned_alike(one: TrainConfig, other: TrainConfig) -> bool:
@@ -93,8 +82,8 @@ class PlannedStarts(Starts):
         said = f"{scene.object}: {len(states)} of {wanted} {self._config.start_from} wanted{of}"
         if len(states) == 1 < wanted:  # every episode would begin alike, as from fixed
             raise InvalidInput(
-                f"{said}; expected several: more --start-seconds, another --tree-expand or "
-                "--start-from"
+                f"{said}; expected several: more --start-seconds, other --tree settings, "
+                "another --tree-expand or --start-from"
             )
         remark(said)
         return states
@@ -104,16 +93,17 @@ class PlannedStarts(Starts):
         config, threads = self._config, self.env.config.scene.threads
         options: dict[str, Any] = {
             "axis": self.env.config.task.direction, "seed": self._seed, "threads": threads,
+            "stability": config.stability,
         }  # fmt: skip
         if config.start_from == "grasps":
             found = sample_grasps(
                 scene, config.start_count, seconds=config.start_seconds, **options
             )
             return found.states, f", {found.tried} tried"
-        expansion = _EXPANSIONS[config.tree_expand]()
         tree = grow(
-            scene, expansion, nodes=config.tree_nodes, seconds=config.start_seconds, **options
-        )
+            scene, config.expansion, nodes=config.tree_nodes, seconds=config.start_seconds,
+            **options,
+        )  # fmt: skip
         # those of simulated trees have been held already
         unseen = None if tree.header.physics_steps else scene
         states = path_states(tree, config.start_count, scene=unseen, threads=threads)

@@ -89,6 +89,18 @@ def test_nearly_all_hold_in_simulation(l_shape: Scene, tree: Tree) -> None:
         holding(Scene.build("dex5", "cube", "up"), tree)
 
 
+def test_whether_they_hold_goes_by_the_trees_own_check(l_shape: Scene) -> None:
+    """It went by the default one: with a hand whose links touch, nothing of a tree was left."""
+    from dexctl.planning import path_states
+
+    strict = Stability(max_distance=1e-7)
+    tree = grow(l_shape, Kinematic(batch=64), nodes=60, seed=1, stability=strict)
+    assert not holding(l_shape, tree, [1, 2, 3], threads=1, batch=4)[1:].any()
+    assert holding(l_shape, tree, [1, 2, 3], stability=Stability(), threads=1, batch=4).any()
+    with pytest.raises(InvalidInput, match="none of .* holds"):
+        path_states(tree, 10, scene=l_shape, threads=1)
+
+
 def test_without_fingers_that_move_it_only_turns_as_far_as_they_reach(l_shape: Scene) -> None:
     tree = grow(l_shape, Kinematic(batch=64, switch=0.0), seconds=1.5, seed=0)
     assert 0.3 < tree.rotation.max() < 2.5

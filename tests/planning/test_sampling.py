@@ -86,6 +86,18 @@ def test_what_was_found_before_ctrl_c_is_kept(l_shape: Scene, tmp_path: Path) ->
     assert 0 < len(GraspStates.load(path)) < 99
 
 
+def test_other_links_may_touch_where_the_check_lets_them(l_shape: Scene) -> None:
+    def refused(fingertips_only: bool) -> dict[str, int]:
+        check = Stability(fingertips_only=fingertips_only)
+        config = GraspSampling(batch=64)
+        return sample_grasps(
+            l_shape, 1000, config, stability=check, most_tried=64, seed=0, threads=1
+        ).refused
+
+    assert refused(True)["other contact"] > 0
+    assert refused(False)["other contact"] == 0
+
+
 def test_what_sampling_refuses(l_shape: Scene) -> None:
     with pytest.raises(InvalidInput, match="path is '/dev/null/a'; cannot write there"):
         sample_grasps(l_shape, 5, path="/dev/null/a")

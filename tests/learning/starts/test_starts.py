@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.planning import Kinematic, Stability
+from dexctl.settings import changed, from_plain, to_plain
 from dexctl.sim import GraspStates, SceneConfig
 from learning.config import TrainConfig
 from learning.envs import EnvConfig, ManipulationVectorEnv
 from learning.starts.catalogue import make_starts
 from learning.starts.check import check_starts
-from learning.starts.config import NAMES, StartsConfig
+from learning.starts.config import EXPANDS, NAMES, StartsConfig, TreeConfig
 
 Make = Callable[..., TrainConfig]
 
@@ -70,6 +72,38 @@ def test_paths_and_grasps_are_planned_once(tmp_path: Path, said: list[str]) -> N
     grasps = replace(config, start_from="grasps", start_count=5)
     make_starts(grasps, env(4), 0).begin(tmp_path / "grasps.npz", said.append)
     assert len(GraspStates.load(tmp_path / "grasps.npz")) == 5
+
+
+def test_trees_and_samples_take_their_settings(tmp_path: Path, said: list[str]) -> None:
+    ways = TreeConfig(kinematic=Kinematic(friction=0.8, margin=0.002, batch=64))
+    loose = Stability(fingertips_only=False, max_distance=0.01)
+    config = StartsConfig(
+        start_from="paths", start_count=10, tree_nodes=20, start_seconds=20,
+        tree=ways, stability=loose,
+    )  # fmt: skip
+    make_starts(config, env(2), 0).begin(tmp_path / "paths.npz", said.append)
+    settings = json.loads(GraspStates.load(tmp_path / "paths.npz").meta)["tree"]["settings"]
+    assert settings["expansion"] == to_plain(ways.kinematic)
+    assert settings["stability"] == to_plain(loose)
+    grasps = replace(config, start_from="grasps", start_count=3)
+    make_starts(grasps, env(2), 0).begin(tmp_path / "grasps.npz", said.append)
+    settings = json.loads(GraspStates.load(tmp_path / "grasps.npz").meta)["settings"]
+    assert settings["stability"] == to_plain(loose)
+
+
+@pytest.mark.parametrize("way", EXPANDS)
+def test_each_way_has_its_own_settings(way: Any) -> None:
+    found = StartsConfig(tree_expand=way).expansion
+    assert found == getattr(TreeConfig(), way)
+
+
+def test_runs_from_before_trees_had_settings_are_read() -> None:
+    """And the names that physics and sensing have for theirs are still theirs."""
+    plain = to_plain(TrainConfig())
+    del plain["starts"]["tree"], plain["starts"]["stability"]
+    assert from_plain(TrainConfig, plain) == TrainConfig()
+    made = changed(TrainConfig(), {"substeps": 5, "starts.tree.kinematic.substeps": 3})
+    assert (made.env.scene.substeps, made.starts.tree.kinematic.substeps) == (5, 3)
 
 
 def test_a_single_state_is_refused(tmp_path: Path, said: list[str]) -> None:

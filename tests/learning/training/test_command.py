@@ -48,6 +48,12 @@ def command(*arguments: str) -> Train:
     return found
 
 
+def test_settings_of_the_tree_that_starts_are_from_are_options() -> None:
+    config = command("--tree.kinematic.friction", "0.8", "--stability.no-fingertips-only").config
+    assert config.starts.tree.kinematic.friction == 0.8
+    assert not config.starts.stability.fingertips_only
+
+
 def test_a_run_leaves_logs_a_checkpoint_and_a_policy(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
