@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from common import (
     FULL_TURN,
     Figure,
@@ -27,12 +29,12 @@ from common import (
     write,
 )
 
-from dexctl.planning import Kinematic, grow, path_states
-from dexctl.settings import changed
-from dexctl.sim import SceneConfig
+from dexctl.planning import Kinematic, Stability, grow, path_states
+from dexctl.settings import changed, to_plain
+from dexctl.statistics import bootstrap
 from dexctl.validation import unit_axis
 from learning.config import TrainConfig, recipe
-from learning.evaluation import Subject, evaluate, open_subject
+from learning.evaluation import Protocol, Subject, evaluate, open_subject
 from learning.evaluation.figures import Evaluation
 from learning.training.run_folder import RunFolder
 
@@ -42,13 +44,39 @@ _STARTS = 2000  # states of such a tree
 
 @dataclass(frozen=True)
 class Task:
-    """What is turned, about which axis, and by what the guided methods are guided."""
+    """What is turned, about which axis, and by what the guided methods are guided.
+
+    Attributes:
+        title: for people.
+        object: its name.
+        axis: of the rotation.
+        gravity: which way the palm looks.
+        guides: controllers of the guided methods.
+        hand: its name.
+        settings: others of scene and task, in training and out of it.
+        training: others of its trainings.
+        kinematic: how its trees are expanded.
+        stability: when their grasps count.
+    """
 
     title: str
     object: str
     axis: str = "z"
     gravity: str = "up"
     guides: tuple[str, ...] = ("coordinated",)
+    hand: str = "dex5"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    training: Mapping[str, Any] = field(default_factory=dict)
+    kinematic: Kinematic = Kinematic()
+    stability: Stability = Stability()
+
+    @property
+    def protocol(self) -> dict[str, Any]:
+        """Settings of `Protocol`, by name."""
+        return {
+            "hand": self.hand, "object": self.object, "axis": self.axis, "gravity": self.gravity,
+            **self.settings,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -61,6 +89,7 @@ class Method:
     method: str = "rl"
 
 
+_FULL_CRITIC = ("object_position", "object_quaternion", "object_velocity", "fingertip_force")
 TASKS = {
     "sphere_x": Task("sphere about x, palm up", "sphere", "x", guides=("gait", "igm")),
     "cube_x": Task("cube about x, palm up", "cube", "x", guides=("gait", "igm")),
@@ -68,6 +97,22 @@ TASKS = {
     "l_down": Task("L about z, palm down", "l_shape", gravity="down"),
     "u": Task("U about z, palm up", "u_shape"),
     "u_down": Task("U about z, palm down", "u_shape", gravity="down"),
+    "allegro_cube": Task(
+        "cube about z in the Allegro, palm up",
+        "cube",
+        hand="wonik_allegro",
+        # its fingers' links lie at the cube whatever it does
+        settings={"object_mass": 0.05, "only_fingertips": False, "max_reward": 1.0},
+        training={
+            "max_speed": 1.0,
+            "joint_noise": 0.02,
+            "critic_parts": _FULL_CRITIC,
+        },
+        kinematic=Kinematic(
+            friction=0.8, margin=0.002, residual_limit=0.5, landing=1.0, height=0.02, force=1.0
+        ),
+        stability=Stability(fingertips_only=False),
+    ),
 }
 METHODS = {
     "guides": Method("guide alone"),
@@ -95,6 +140,9 @@ class Options(Settings):
     """Which."""
     methods: tuple[str, ...] = tuple(METHODS)
     """Which."""
+    seeds: tuple[int, ...] = (0,)
+    """Of the trainings, each once with each; with --resume those of other seeds stay. --seed is
+    that of the episodes and of the trees that are held out."""
     steps: int = 1_000_000
     """Environment steps of each training with SAC; the guides stop after 4 of 10."""
     ppo_steps: int = 10_000_000
@@ -115,13 +163,13 @@ class Options(Settings):
     """Folder of the trainings, TASK-METHOD-SEED; one that is there is taken as it is."""
 
 
-def config(task: Task, method: Method, given: Options) -> TrainConfig:
-    """Everything that a training is."""
+def config(task: Task, method: Method, given: Options, seed: int = 0) -> TrainConfig:
+    """Everything that a training with this seed is."""
     steps = given.ppo_steps if method.algorithm == "ppo" else given.steps
     base = recipe("fast", method.method)
     own: dict[str, Any] = {}
     if method.algorithm == "ppo":
-        own["critic_parts"] = (*base.env.critic_parts, "object_velocity", "fingertip_force")
+        own["critic_parts"] = _FULL_CRITIC
         own["gravity_steps"] = max(steps // 2, 1)
     if method.changes.get("imitated"):
         own["critic_steps"] = steps // 20
@@ -129,16 +177,17 @@ def config(task: Task, method: Method, given: Options) -> TrainConfig:
         base,
         {
             "algorithm": method.algorithm,
-            "object": task.object,
-            "axis": task.axis,
-            "gravity": task.gravity,
+            **task.protocol,
+            **task.training,
             "controllers": task.guides,
             "hard_stop": max(int(0.4 * steps), 1),
             "steps": steps,
-            "seed": given.seed,
+            "seed": seed,
             "num_envs": given.num_envs,
             "tree_nodes": given.tree_nodes,
             "threads": 1,
+            "starts.tree.kinematic": to_plain(task.kinematic),
+            "starts.stability": to_plain(task.stability),
             **own,
             **method.changes,
         },
@@ -162,10 +211,10 @@ def held_out(name: str, task: Task, given: Options) -> Path:
     path = given.runs / f"held-out-{name}-{given.seed + _HELD_OUT}.npz"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        (scene,) = SceneConfig(object=(task.object,), gravity=task.gravity).scenes()
+        (scene,) = changed(Protocol(), task.protocol).scene.scenes()
         tree = grow(
-            scene, Kinematic(), nodes=max(given.tree_nodes // 4, 2), seconds=60.0,
-            axis=unit_axis(task.axis), seed=given.seed + _HELD_OUT,
+            scene, task.kinematic, nodes=max(given.tree_nodes // 4, 2), seconds=60.0,
+            axis=unit_axis(task.axis), seed=given.seed + _HELD_OUT, stability=task.stability,
         )  # fmt: skip
         path_states(tree, _STARTS, goals="even", scene=scene).save(path)
     return path
@@ -175,10 +224,10 @@ def guides(name: str, given: Options) -> list[dict[str, Any]]:
     """The controllers that guide a task, each alone: their rows."""
     task, rows = TASKS[name], []
     for guide in task.guides:
-        subject = open_subject(guide)
+        subject = open_subject(guide, hand=task.hand)
         protocol = subject.protocol(
-            object=task.object, axis=task.axis, gravity=task.gravity,
-            episodes=given.trials, seconds=given.seconds, seed=given.seed + _HELD_OUT,
+            **task.protocol, episodes=given.trials, seconds=given.seconds,
+            seed=given.seed + _HELD_OUT,
         )  # fmt: skip
         about = {"task": name, "method": "guides", "guides": [guide], "steps": 0}
         rows.append({**about, "from": "settled", **outcome(evaluate(subject, protocol))})
@@ -198,13 +247,13 @@ def outcome(got: Evaluation) -> dict[str, Any]:
 
 
 def shipped(name: str, given: Options) -> list[dict[str, Any]]:
-    """The rows of the shipped policy."""
+    """The rows of the shipped policy; none where it is for another hand."""
     task = TASKS[name]
     subject = open_subject(given.policy)
+    if subject.hand != task.hand:
+        return []
     about = {"task": name, "method": "policy", "policy": given.policy, "steps": 0}
-    return both_starts(
-        subject, name, about, given, object=task.object, axis=task.axis, gravity=task.gravity
-    )
+    return both_starts(subject, name, about, given, **task.protocol)
 
 
 def both_starts(
@@ -227,28 +276,39 @@ def both_starts(
     return rows
 
 
-def measure(name: str, method: str, given: Options) -> list[dict[str, Any]]:
-    """One training: its rows, none where it is not there."""
+def measure(name: str, method: str, seed: int | None, given: Options) -> list[dict[str, Any]]:
+    """One training: its rows, none where it is not there; no seed: nothing is trained."""
     if method == "guides":
         return guides(name, given)
-    if method == "policy":
+    if seed is None:
         return shipped(name, given)
     task = TASKS[name]
-    folder = given.runs / f"{name}-{method}-{given.seed}"
-    found = trained(folder, config(task, METHODS[method], given), given)
+    folder = given.runs / f"{name}-{method}-{seed}"
+    found = trained(folder, config(task, METHODS[method], given, seed), given)
     if found is None:
         return []
     subject = open_subject(str(folder))
     start = found.starts.start_from
     if found.env.scene.initial_states is not None:
         start = "file"
-    steps = int(RunFolder(folder).progress()[-1]["step"])
+    last = RunFolder(folder).progress()[-1]
     about = {
-        "task": name, "method": method, "training_seed": found.seed, "steps": steps,
+        "task": name, "method": method, "training_seed": found.seed, "steps": int(last["step"]),
+        "training_s": whole(last["seconds"]), "training_cpu_s": whole(last.get("cpu_seconds")),
         "start_from": start, "algorithm": found.algorithm, "guides": list(found.guides),
         "hard_stop": found.guidance.hard_stop if found.guides else None,
     }  # fmt: skip
     return both_starts(subject, name, about, given)
+
+
+def whole(seconds: float | None) -> int | None:
+    """Seconds without their parts; None where the log has no number."""
+    return None if seconds is None or np.isnan(seconds) else round(seconds)
+
+
+def key(row: dict[str, Any]) -> tuple[Any, ...]:
+    """What is measured once: task, method, policy and seed of the training."""
+    return row["task"], row["method"], row.get("policy"), row.get("training_seed")
 
 
 def whose(row: dict[str, Any]) -> str:
@@ -258,6 +318,14 @@ def whose(row: dict[str, Any]) -> str:
     return METHODS[row["method"]].title + (f": {name}" if name else "")
 
 
+def minutes(row: dict[str, Any]) -> str:
+    """How long a training took, and the processor time of it, where they are known."""
+    wall, cpu = row.get("training_s"), row.get("training_cpu_s")
+    if wall is None:
+        return ""
+    return f"{wall / 60:.0f}" + ("" if cpu is None else f" ({cpu / 60:.0f})")
+
+
 def line(row: dict[str, Any]) -> list[str]:
     """A line of the table."""
     turned = row["rotation_rad"]
@@ -265,7 +333,9 @@ def line(row: dict[str, Any]) -> list[str]:
     return [
         TASKS[row["task"]].title,
         whose(row),
+        str(row.get("training_seed", "")),
         f"{row['steps'] / 1e6:.2f}" if row["steps"] else "",
+        minutes(row),
         row["from"],
         f"{turned['median']:.1f} ({low:.1f}-{high:.1f})",
         f"{turned['median'] / FULL_TURN:.1f}",
@@ -274,43 +344,80 @@ def line(row: dict[str, Any]) -> list[str]:
     ]
 
 
+@dataclass(frozen=True)
+class Pooled:
+    """The rows of one method, or of one policy, from starts held out: a row for each seed."""
+
+    rows: list[dict[str, Any]]
+
+    @property
+    def turned(self) -> float:
+        """Interquartile mean over the seeds of the median rotation [rad]."""
+        return bootstrap([row["rotation_rad"]["median"] for row in self.rows], "iqm").value
+
+    def share(self, name: str) -> dict[str, Any]:
+        """Of the episodes of all seeds."""
+        hits = sum(row[name]["count"] for row in self.rows)
+        of = sum(row[name]["of"] for row in self.rows)
+        return share(np.arange(of) < hits)
+
+    def said(self) -> str:
+        """What they came to, for people."""
+        what = "median" if len(self.rows) == 1 else f"interquartile mean of {self.seeds}' medians"
+        dropped = self.share("dropped")
+        return f"{what} {self.turned:.1f} rad, {dropped['count']} of {dropped['of']} dropped"
+
+    @property
+    def seeds(self) -> str:
+        """How many, for people."""
+        return f"{len(self.rows)} seeds"
+
+    def named(self, title: str) -> str:
+        """``title``, with the seeds where there are several."""
+        return title if len(self.rows) == 1 else f"{title}, {self.seeds}"
+
+
 def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     """How far the surest policy of each task turns, and what planned starts are worth."""
     found = []
     for name, task in TASKS.items():
-        all_own = [row for row in rows if row["task"] == name and row["from"] == "held out"]
-        if not all_own:
+        each: dict[str, list[dict[str, Any]]] = {}
+        for row in rows:
+            if row["task"] == name and row["from"] == "held out":
+                each.setdefault(whose(row), []).append(row)
+        if not each:
             continue
-        own = {row["method"]: row for row in all_own}
-        best = max(
-            all_own, key=lambda row: (row["full_turn"]["share"], row["rotation_rad"]["median"])
+        own = {title: Pooled(those) for title, those in each.items()}
+        title, best = max(
+            own.items(), key=lambda one: (one[1].share("full_turn")["share"], one[1].turned)
         )
-        turned, least = best["rotation_rad"]["median"], 4 if task.axis == "x" else 8
-        sure = task.axis == "x" or best["dropped"]["share"] < 0.02
+        least = 4 if task.axis == "x" else 8
+        sure = task.axis == "x" or best.share("dropped")["share"] < 0.02
         found.append(
             Figure(
-                f"{task.title}: rotation in {best['time_s']:g} s from starts held out, "
-                f"{whose(best)}",
-                f"median {turned:.1f} rad, {best['dropped']['count']} of {best['dropped']['of']} "
-                "dropped",
+                f"{task.title}: rotation in {best.rows[0]['time_s']:g} s from starts held out, "
+                f"{title}",
+                best.said(),
                 f"{least} turns ({least * FULL_TURN:.1f} rad)"
                 + ("" if task.axis == "x" else ", under 2 % dropped (floor: 5 turns)"),
-                bool(turned >= least * FULL_TURN and sure),
+                bool(best.turned >= least * FULL_TURN and sure),
             )
         )
         for fixed, paths in (
             ("fi", "rxr"), ("fi", "rxr_ipt"), ("rl", "rl_paths"), ("vge", "vge_paths"),
         ):  # fmt: skip
-            if fixed not in own or paths not in own:
+            theirs, ours = (own.get(METHODS[method].title) for method in (fixed, paths))
+            if theirs is None or ours is None:
                 continue
-            ours, theirs = own[paths]["full_turn"], own[fixed]["full_turn"]
+            before, now = theirs.share("full_turn"), ours.share("full_turn")
             found.append(
                 Figure(
                     f"{task.title}: episodes with a full turn from starts held out, "
-                    f"{METHODS[paths].title}",
-                    percent_interval(ours),
-                    f"more than from a fixed start, intervals apart: {percent_interval(theirs)}",
-                    bool(ours["wilson95"][0] > theirs["wilson95"][1]),
+                    f"{ours.named(METHODS[paths].title)}",
+                    percent_interval(now),
+                    "more than from a fixed start, intervals apart: "
+                    + theirs.named(percent_interval(before)),
+                    bool(now["wilson95"][0] > before["wilson95"][1]),
                 )
             )
     return found
@@ -320,10 +427,11 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the rows so far."""
     table = {
         "title": f"Starts of episodes: the policy alone, {given.trials} episodes of "
-        f"{given.seconds:g} s, median rotation before any drop (95 % interval), one seed each",
+        f"{given.seconds:g} s, median rotation before any drop (95 % interval), each seed of "
+        "training by itself; minutes of training (processor time)",
         "header": [
-            "Task", "Method", "10^6 steps", "from", "rotation [rad]", "turns", "full turn",
-            "dropped",
+            "Task", "Method", "seed", "10^6 steps", "minutes", "from", "rotation [rad]", "turns",
+            "full turn", "dropped",
         ],
         "rows": [line(row) for row in rows],
     }  # fmt: skip
@@ -335,18 +443,23 @@ def main() -> None:
     check_chosen("task", given.tasks, TASKS)
     check_chosen("method", given.methods, METHODS)
     rows = earlier("starts", given)
-    done = {(row["task"], row["method"], row.get("policy")) for row in rows}
-    for name in given.tasks:
-        for method in given.methods:
-            if (name, method, given.policy if method == "policy" else None) in done:
+    done = {key(row) for row in rows}
+    for name, method in product(given.tasks, given.methods):
+        alone = method in ("guides", "policy")
+        for seed in (None,) if alone else given.seeds:
+            if (name, method, given.policy if method == "policy" else None, seed) in done:
                 continue
-            more = [{**row, "time_s": given.seconds} for row in measure(name, method, given)]
+            more = [{**row, "time_s": given.seconds} for row in measure(name, method, seed, given)]
             rows += more
             if more:
                 save(rows, given, say=False)
                 progress("; ".join(line(more[-1])))
-    order = list(METHODS)
-    rows.sort(key=lambda row: (list(TASKS).index(row["task"]), order.index(row["method"])))
+    tasks, methods = list(TASKS), list(METHODS)
+    rows.sort(
+        key=lambda row: (
+            tasks.index(row["task"]), methods.index(row["method"]), row.get("training_seed", 0),
+        )
+    )  # fmt: skip
     save(rows, given, say=True)
 
 

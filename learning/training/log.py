@@ -34,6 +34,7 @@ COLUMNS = {
     "bc_loss": "behaviour cloning, before its weight beta",
     "q_mean": "mean value of the policy's actions",
     "beta": "weight of behaviour cloning",
+    "cpu_seconds": "processor time of the process in it, all threads [s]",
     "seconds": "training so far, interruptions left out [s]",
 }
 """What the columns of the CSV file are; a cell is empty where there is no number."""

@@ -170,7 +170,7 @@ class Trainer:
         self._report = report or (lambda step, row: None)
         self._remark = remark or (lambda text: None)
         self._next_log, self._next_checkpoint = config.log_every, config.checkpoint_every
-        self._seconds, self._since = 0.0, time.monotonic()
+        self._begin_clocks(0.0, 0.0)
         self.env.simulation.randomiser.level = self.curriculum.level
         self._observation, _ = self.env.reset()
         self._log: RunLog | None = None
@@ -330,6 +330,8 @@ class Trainer:
             "beta": guide.beta(algorithm.steps),
             "seconds": self.seconds,
         }
+        if self.cpu_seconds is not None:
+            self.row["cpu_seconds"] = self.cpu_seconds
         assert self._log is not None
         try:
             self._log.write(self.row)
@@ -341,6 +343,15 @@ class Trainer:
     def seconds(self) -> float:
         """Training time so far, interruptions left out [s]."""
         return self._seconds + time.monotonic() - self._since
+
+    @property
+    def cpu_seconds(self) -> float | None:
+        """Processor time of that, all threads [s]; None where a part of it was not counted."""
+        return None if self._cpu is None else self._cpu + time.process_time() - self._cpu_since
+
+    def _begin_clocks(self, seconds: float, cpu: float | None) -> None:
+        self._seconds, self._since = seconds, time.monotonic()
+        self._cpu, self._cpu_since = cpu, time.process_time()
 
     def save(self) -> None:
         """Write checkpoint and policy.
@@ -369,6 +380,7 @@ class Trainer:
                     "next_log": self._next_log,
                     "next_checkpoint": self._next_checkpoint,
                     "seconds": self.seconds,
+                    "cpu_seconds": self.cpu_seconds,
                 },
             }
         )
@@ -402,7 +414,7 @@ class Trainer:
             run = saved["run"]
             self.tally.sums, self.row = dict(run["tally"]), dict(run["row"])
             self._next_log, self._next_checkpoint = run["next_log"], run["next_checkpoint"]
-            self._seconds, self._since = run["seconds"], time.monotonic()
+            self._begin_clocks(run["seconds"], run.get("cpu_seconds"))  # not in earlier ones
         except (
             DexctlError,
             RuntimeError,

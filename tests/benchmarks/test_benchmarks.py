@@ -160,6 +160,27 @@ def test_interrupted_run_goes_on(tmp_path: Path) -> None:
     assert len(rows) == 2 * len(first)
 
 
+def test_trainings_of_another_seed_stand_beside_the_first(tmp_path: Path) -> None:
+    """They were written over."""
+    pytest.importorskip("torch", reason="needs the extra 'learning'")
+    arguments = [
+        *(*SHORT, "--ppo-steps", "200", "--num-envs", "4", "--tree-nodes", "60"),
+        *("--tasks", "l", "--methods", "fi", "--out", tmp_path, "--runs", tmp_path / "runs"),
+    ]
+    assert run("starts.py", *arguments).returncode == 0
+    first = json.loads((tmp_path / "starts.json").read_text())["trials"]
+    done = run("starts.py", *arguments, "--seeds", "0", "1", "--resume")
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "starts.json").read_text())
+    rows = result["trials"]
+    assert rows[:2] == first
+    assert [row["training_seed"] for row in rows] == [0, 0, 1, 1]
+    assert (tmp_path / "runs" / "l-fi-1").is_dir()
+    assert all(row["training_s"] >= 0 and row["training_cpu_s"] > 0 for row in rows)
+    (figure,) = result["figures"]
+    assert figure["measured"].startswith("interquartile mean of 2 seeds' medians")
+
+
 def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
     done = run("hands_turning.py", *SHORT, "--out", tmp_path, "--folder", tmp_path)
     assert done.returncode == 0, done.stderr

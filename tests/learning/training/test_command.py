@@ -71,6 +71,7 @@ def test_a_run_leaves_logs_a_checkpoint_and_a_policy(
     assert list(rows[0]) == list(columns(("gait",)))
     assert float(rows[0]["share_gait"]) == float(rows[0]["controller_share"])
     assert 0.0 < float(rows[0]["p_psi"]) == float(rows[0]["p_gait"]) < 1.0
+    assert 0.0 < float(rows[0]["cpu_seconds"]) < float(rows[1]["cpu_seconds"])
     assert list((folder / "tensorboard").iterdir())
     policy = learning.load_policy(folder / "policy.npz")
     assert policy.card["steps"] == 200
