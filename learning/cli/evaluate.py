@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 import tyro
 
@@ -35,6 +35,8 @@ class Evaluate:
     and given starts; for a controller a cube, palm up, about z. With --out, the same command goes
     on where it was killed.
     """
+
+    short: ClassVar[Mapping[str, str]] = {"--from": "--initial-states"}
 
     policy: Annotated[
         str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY]", help_behavior_hint="")
@@ -97,6 +99,7 @@ class Evaluate:
                 notes().print(f"dexctl: {remark}")
         own = tuple(one.object for one in trained if self.transfer)
         replace(protocol.scene, object=(*own, *protocol.scene.object)).check_objects()
+        self._check_starts(own)
         folder = None if self.out is None else make_folder(self.out)
         found, matrix = self._evaluate(trained, folder)
         result = {"command": "evaluate", "conditions": list(self.conditions)}
@@ -110,6 +113,19 @@ class Evaluate:
         else:
             print_evaluations(self.policy or "", protocol, found)
         return 0
+
+    def _check_starts(self, own: Sequence[str]) -> None:
+        """Say where the grasps of a file do not hold by themselves, object by object."""
+        scene = self.protocol.scene
+        if scene.initial_states is None:
+            return
+        from dexctl.sim import Simulation
+        from learning.starts.check import remark_on_starts
+
+        for name in dict.fromkeys((*own, *scene.object)):
+            count = self.protocol.episodes
+            with Simulation(replace(scene, object=(name,)), count, self.protocol.seed) as made:
+                remark_on_starts(made, lambda said: notes().print(f"dexctl: {said}"))
 
     def _trained(self, hand: str | None) -> list[Trained]:
         """Who is evaluated: several with --transfer, else one, whose object does not matter."""

@@ -1,11 +1,11 @@
-"""check_starts: whether grasps that episodes are to begin in hold at all."""
+"""Whether grasps that episodes are to begin in hold at all."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from learning.envs.vector import ManipulationVectorEnv
+from dexctl.sim import Simulation
 from learning.starts.base import Remark
 
 _SECONDS = 0.5
@@ -13,20 +13,36 @@ _FAR = 0.02  # an object that has moved so far by then is not held [m]
 _FEWEST = 0.5  # share that has to hold
 
 
-def check_starts(env: ManipulationVectorEnv, remark: Remark) -> None:
+def check_starts(simulation: Simulation, remark: Remark) -> None:
     """Hold the set-points of one start in each environment, as noisy as episodes begin.
 
     A tree of another gravity, size or hand's stiffness has grasps that fall at once; it says so
     before hours of training on them. The environments are left where they are.
 
     Args:
-        env: the environments, with states to start from.
+        simulation: the environments, with states to start from.
         remark: called where a tenth or more do not hold.
 
     Raises:
         InvalidInput: most of them do not hold.
     """
-    simulation, config = env.simulation, env.config.scene
+    held, said = _held(simulation)
+    if held < _FEWEST * simulation.num_envs:
+        raise InvalidInput(f"{said}; expected grasps of this very scene, as `dexctl plan` finds")
+    if said:
+        remark(said)
+
+
+def remark_on_starts(simulation: Simulation, remark: Remark) -> None:
+    """As `check_starts`, where none is refused: those of a policy's gait may be caught by it."""
+    _, said = _held(simulation)
+    if said:
+        remark(said)
+
+
+def _held(simulation: Simulation) -> tuple[int, str]:
+    """How many hold; and where a tenth or more do not, a line that says so."""
+    config = simulation.config
     simulation.reset()
     sim, target = simulation.sim, simulation.state.q_target
     for _ in range(max(1, round(_SECONDS / simulation.control_period))):
@@ -41,7 +57,4 @@ def check_starts(env: ManipulationVectorEnv, remark: Remark) -> None:
         f"{count - held} of {count} starts do not hold for {_SECONDS:g} s with "
         f"{config.hand_name}, {', '.join(config.object)}, {config.palm}"
     )
-    if held < _FEWEST * count:
-        raise InvalidInput(f"{said}; expected grasps of this very scene, as `dexctl plan` finds")
-    if held <= 0.9 * count:
-        remark(said)
+    return held, said if held <= 0.9 * count else ""

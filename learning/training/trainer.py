@@ -70,7 +70,7 @@ def train(
     trainer = Trainer(config, folder, report, remark)
     try:
         if trainer.env.simulation.starts is not None:  # those of a file
-            check_starts(trainer.env, remark or (lambda text: None))
+            check_starts(trainer.env.simulation, remark or (lambda text: None))
         trainer.begin()
         with folder.lock():
             folder.create(config)

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from dexctl.cli.parsing import parse
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning import Kinematic, grow
 from dexctl.settings import to_plain
-from dexctl.sim import Scene, SceneConfig
+from dexctl.sim import GraspStates, Scene, SceneConfig, Simulation
 from dexctl.sim.conditions import under
 from learning import policies
 from learning.cli.evaluate import Evaluate
@@ -88,6 +89,37 @@ def test_one_table_of_figures(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(len(line) <= 80 for line in table.splitlines()[2:])
     # it turns the other way, about the other axis: forwards
     assert float(re.search(r"rotation +([-.0-9]+) rad", table)[1]) > 0.01  # type: ignore[index]
+
+
+def test_starts_that_do_not_hold_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And another spelling of the option; nothing was said, and the policy blamed."""
+    config = SceneConfig(object=("cylinder",), threads=1)
+    with Simulation(config, 4, 0) as made:
+        state = made.state
+    assert state.object_position is not None and state.object_quaternion is not None
+    good = GraspStates(
+        hand="dex5",
+        q=state.q,
+        q_target=state.q_target,
+        object_position=state.object_position,
+        object_quaternion=state.object_quaternion,
+        object=np.array(["cylinder"] * 4),
+        joint_names=np.array(made.hand.joint_names),
+    )
+    good.save(tmp_path / "good.npz")
+    replace(good, q_target=good.q - 0.5).save(tmp_path / "loose.npz")
+    short = ("hold", "--object", "cylinder", "--episodes", "4", "--seconds", "0.1", "--json")
+    assert run(*short, "--from", str(tmp_path / "loose.npz")) == 0
+    said = capsys.readouterr()
+    assert "4 of 4 starts do not hold for 0.5 s with dex5, cylinder, palm up" in " ".join(
+        said.err.split()
+    )
+    file = json.loads(said.out)["protocol"]["scene"]["initial_states"]
+    assert file == str(tmp_path / "loose.npz")
+    assert run(*short, "--initial-states", str(tmp_path / "good.npz")) == 0
+    assert "do not hold" not in capsys.readouterr().err
 
 
 def test_what_is_not_said_is_as_in_training(

@@ -18,7 +18,7 @@ from dexctl.sim import GraspStates, SceneConfig
 from learning.config import TrainConfig
 from learning.envs import EnvConfig, ManipulationVectorEnv
 from learning.starts.catalogue import make_starts
-from learning.starts.check import check_starts
+from learning.starts.check import check_starts, remark_on_starts
 from learning.starts.config import EXPANDS, NAMES, StartsConfig, TreeConfig
 
 Make = Callable[..., TrainConfig]
@@ -232,19 +232,23 @@ def test_starts_that_do_not_hold_are_one_line(said: list[str]) -> None:
     made = env(8)
     good = settled(made)
     made.simulation.start_from(good)
-    check_starts(made, said.append)
+    check_starts(made.simulation, said.append)
     assert said == []
     loose = replace(good, q_target=good.q - 0.5)
     made.simulation.start_from(loose)
     with pytest.raises(InvalidInput, match="8 of 8 starts do not hold .* cylinder, palm up") as e:
-        check_starts(made, said.append)
+        check_starts(made.simulation, said.append)
     assert "\n" not in str(e.value)
+    remark_on_starts(made.simulation, said.append)  # an evaluation goes on
+    (line,) = said
+    assert line in str(e.value)
+    said.clear()
     few = replace(
         loose, q_target=np.where(np.arange(8)[:, None] < 2, loose.q_target, good.q_target)
     )
     made.simulation.start_from(few)
     made.simulation.reset(7)
-    check_starts(made, said.append)
+    check_starts(made.simulation, said.append)
     assert len(said) <= 1
 
 
