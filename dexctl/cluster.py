@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import socket
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 from dexctl.exceptions import DexctlError, MissingExtra
 
 ROOT = Path(__file__).resolve().parents[1]  # tasks run the same code as this process
+
+_ANSWER = 3.0  # a head that listens has answered by then [s]
 
 
 class ClusterError(DexctlError, RuntimeError):
@@ -28,6 +31,7 @@ def connect(address: str) -> Any:
     """
     if find_spec("ray") is None:
         raise MissingExtra("--ray", "distributed")
+    _check_there(address)
     import ray
 
     try:
@@ -41,6 +45,25 @@ def connect(address: str) -> Any:
         why = " ".join(str(error).split()) or type(error).__name__
         raise ClusterError(f"no Ray cluster at {address}: {why}") from error
     return ray
+
+
+def _check_there(address: str) -> None:
+    """Raise ClusterError where nobody listens; Ray itself would try again for minutes."""
+    if address == "auto":
+        return
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not (host and colon and port.isdecimal() and 0 < int(port) < 65536):
+        raise ClusterError(
+            f"no Ray cluster at {address}: expected HOST:PORT, ray://HOST:PORT or auto"
+        )
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _ANSWER).close()
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise ClusterError(
+            f"no Ray cluster at {address}: {why}; expected its head's HOST:PORT, ray://HOST:PORT "
+            "or auto"
+        ) from None
 
 
 def inside() -> Any:

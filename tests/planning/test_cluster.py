@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 import pytest
 
-from dexctl.cluster import ClusterError
+from dexctl.cluster import ClusterError, connect
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_on_cluster
 from dexctl.planning.cluster import Board
@@ -62,6 +63,17 @@ def test_tasks_grow_what_each_would_have_grown_and_are_resumed(
 
 def test_no_cluster(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="the extra 'distributed' is not installed")
+    begun = perf_counter()
+    for wrong, why in (
+        ("127.0.0.1:1", "refused; expected its head's"),
+        ("ray://127.0.0.1:1", "refused; expected its head's"),
+        ("127.0.0.1:x", "expected HOST:PORT"),
+        ("a..b:1", "expected its head's"),
+    ):
+        with pytest.raises(ClusterError, match=f"no Ray cluster at {wrong}: .*{why}") as error:
+            connect(wrong)
+        assert "\n" not in str(error.value)
+    assert perf_counter() - begun < 30  # Ray tried for minutes
     with pytest.raises(ClusterError, match="no Ray cluster at nonsense"):
         grow_on_cluster(SceneConfig(), RandomActions(), "nonsense", path=tmp_path / "tree.npz")
 
