@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from dexctl.exceptions import InvalidInput
@@ -22,6 +24,23 @@ def check_count(option: str, value: int) -> int:
     if value < 1:
         raise InvalidInput(f"{option} is {value}; expected a whole number above 0")
     return value
+
+
+@contextmanager
+def new_folder(path: Path, option: str = "--out") -> Iterator[Path]:
+    """`make_folder` for this block, after which nothing empty that was made for it is left.
+
+    Raises:
+        InvalidInput: as `make_folder`.
+    """
+    wanted = path.expanduser()
+    missing = [one for one in (wanted, *wanted.parents) if not one.exists()]
+    try:
+        yield make_folder(wanted, option)
+    finally:
+        with suppress(OSError):  # what holds something stays, and all above it
+            for one in missing:
+                one.rmdir()
 
 
 def make_folder(path: Path, option: str = "--out") -> Path:

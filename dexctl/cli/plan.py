@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from rich.console import RenderableType
+from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
+from rich.text import Text
 
-from dexctl.cli.checks import check_count, make_folder
+from dexctl.cli.checks import check_count, make_folder, new_folder
 from dexctl.cli.output import notes, print_json, progress, results, table, to_json
 from dexctl.cli.parsing import Switch
 from dexctl.cli.plan_states import Sample, States
 from dexctl.cli.trials import check_viz
-from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 from dexctl.planning import (
     Bounds,
     ControllerMacros,
@@ -45,7 +49,9 @@ from dexctl.statistics import wilson
 from dexctl.validation import shown_numbers, unit_axis
 
 FIGURES = "plan.json"
-_SECONDS = 60.0  # a tree towards goals has this long where nothing says how long [s]
+_SECONDS = 600.0  # a tree that is to turn so far has this long where nothing says how long [s]
+_GOAL_SECONDS = 60.0  # and one towards goals [s]
+_WHY = 3  # reasons of refusals that are shown, the most frequent ones
 _CHECKED = 256  # nodes of a tree grown without physics that are held in simulation
 
 
@@ -53,8 +59,9 @@ _CHECKED = 256  # nodes of a tree grown without physics that are held in simulat
 class Plan:
     """Grow a tree of grasps that turn an object.
 
-    Where nothing says when to stop, it stops after a full turn, or towards goal orientations when
-    all are reached, after a minute at the latest; where what was wanted is not reached, it fails.
+    Where nothing says when to stop, it stops after a full turn, ten minutes at the latest, or
+    towards goal orientations when all are reached, a minute at the latest; where what was wanted is
+    not reached, it fails.
     The tree in the folder is whole at any moment: after Ctrl-C, --resume goes on with it.
     `dexctl plan show` films and draws it.
     """
@@ -66,11 +73,12 @@ class Plan:
     axis: Vector = "z"
     """Of the hand, about which the object is to be turned: x, y, z, -x, -y, -z, or x,y,z."""
     until_rotation: float | None = None
-    """Stop when a node has turned this far [rad]."""
+    """Stop when a node has turned this far [rad]; none: a full turn, where nothing else is said."""
     nodes: int | None = None
     """Stop at so many nodes."""
     seconds: float | None = None
-    """Stop after this time [s]."""
+    """Stop after this time [s]; none: 600 s where a rotation is wanted and no number of nodes, 60 s
+    for goal orientations alone."""
     seed: int = 0
     """Of the random numbers."""
     out: Path = Path("out/plan")
@@ -101,44 +109,10 @@ class Plan:
                 f"--object is {' '.join(self.scene.object)}; this command takes one object"
             )
         check_used(self.scene)
-        path = make_folder(self.out) / TREE
-        tree = self._tree(path)
-        until, seconds = self.until_rotation, self.seconds
-        if until is None and self.nodes is None and seconds is None:
-            until, seconds = (None, _SECONDS) if len(self.goals) else (2 * math.pi, None)
-        jobs = self._jobs()
+        until, seconds = self._ends()
         (scene,) = self.scene.scenes()
-        ends: dict[str, Any] = {
-            "nodes": self.nodes, "seconds": seconds, "until_rotation": until, "axis": axis,
-            "seed": self.seed, "metric": self.metric, "bounds": self.bounds,
-            "stability": self.stability, "goals": self.goals, "path": path,
-        }  # fmt: skip
-        check_ends(self.nodes, seconds, until, self.bounds, self.goals)
-        expansion.check(scene, np.array(axis))
-        try:
-            with ExitStack() as stack:
-                show = _Bar(stack, self.nodes, seconds, until)
-                if self.ray is not None:
-                    tree = grow_on_cluster(
-                        self.scene, expansion, self.ray, jobs, progress=show, resume=self.resume,
-                        **ends,
-                    )  # fmt: skip
-                elif jobs == 1 and not (self.resume and part_files(path)):
-                    tree = grow(
-                        scene, expansion, threads=self.scene.threads, tree=tree,
-                        scene_config=self.scene, progress=show, **ends,
-                    )  # fmt: skip
-                else:
-                    tree = grow_in_processes(
-                        self.scene, expansion, jobs or 1, progress=show, resume=self.resume, **ends
-                    )
-        except KeyboardInterrupt:
-            there = path.exists() or part_files(path)
-            raise KeyboardInterrupt(
-                f"interrupted; the tree is in {path}, and the same command with --resume goes on"
-                if there
-                else "interrupted before there was a tree"
-            ) from None
+        with new_folder(self.out) as folder:
+            tree = self._grown(scene, expansion, axis, folder / TREE, until, seconds)
         found = describe(tree)
         if not tree.header.physics_steps and len(tree) > 1:
             found["holds"] = self._held(scene, tree)
@@ -150,12 +124,65 @@ class Plan:
             print_json(found)
         else:
             _print(tree, found)
-        missed = self._missed(tree, until, away)
+        missed = self._missed(tree, until, seconds, away)
         for line in missed:
             notes().print(line, soft_wrap=True)
         return int(bool(missed))
 
-    def _missed(self, tree: Tree, until: float | None, away: Floats) -> list[str]:
+    def _ends(self) -> tuple[float | None, float | None]:
+        """After which rotation [rad] and time [s] it stops, also where nobody said."""
+        until, seconds = self.until_rotation, self.seconds
+        if self.nodes is None and seconds is None:
+            goals_alone = len(self.goals) and until is None
+            seconds = _GOAL_SECONDS if goals_alone else _SECONDS
+            if not goals_alone and until is None:
+                until = 2 * math.pi
+        return until, seconds
+
+    def _grown(
+        self,
+        scene: Scene,
+        expansion: Expansion,
+        axis: tuple[float, float, float],
+        path: Path,
+        until: float | None,
+        seconds: float | None,
+    ) -> Tree:
+        """The tree, as it is in the file ``path``."""
+        before, jobs = self._tree(path), self._jobs()
+        ends: dict[str, Any] = {
+            "nodes": self.nodes, "seconds": seconds, "until_rotation": until, "axis": axis,
+            "seed": self.seed, "metric": self.metric, "bounds": self.bounds,
+            "stability": self.stability, "goals": self.goals, "path": path,
+        }  # fmt: skip
+        check_ends(self.nodes, seconds, until, self.bounds, self.goals)
+        expansion.check(scene, np.array(axis))
+        try:
+            with _Bar(self.nodes, seconds, until) as show:
+                if self.ray is not None:
+                    return grow_on_cluster(
+                        self.scene, expansion, self.ray, jobs, progress=show, resume=self.resume,
+                        **ends,
+                    )  # fmt: skip
+                if jobs == 1 and not (self.resume and part_files(path)):
+                    return grow(
+                        scene, expansion, threads=self.scene.threads, tree=before,
+                        scene_config=self.scene, progress=show, **ends,
+                    )  # fmt: skip
+                return grow_in_processes(
+                    self.scene, expansion, jobs or 1, progress=show, resume=self.resume, **ends
+                )
+        except KeyboardInterrupt:
+            there = path.exists() or part_files(path)
+            raise KeyboardInterrupt(
+                f"interrupted; the tree is in {path}, and the same command with --resume goes on"
+                if there
+                else "interrupted before there was a tree"
+            ) from None
+
+    def _missed(
+        self, tree: Tree, until: float | None, seconds: float | None, away: Floats
+    ) -> list[str]:
         """What was wanted of the tree and is not there, a line each."""
         if len(tree) == 1 and self.nodes != 1:
             return [stuck(tree)]
@@ -169,9 +196,11 @@ class Plan:
             return []
         turned = float(tree.rotation.max())
         if until is not None and turned < until:
+            within = "" if seconds is None else f" in {seconds:g} s"
             found.append(
-                f"--until-rotation {until:.2f} is not reached: the greatest rotation of "
-                f"{len(tree)} nodes is {turned:.2f} rad"
+                f"--until-rotation {until:.2f} is not reached{within}: the greatest rotation of "
+                f"{len(tree)} nodes is {turned:.2f} rad; expected other settings, or --resume and "
+                "more --seconds"
             )
         elif until is None and not found and self.nodes is not None and len(tree) < self.nodes:
             found.append(f"--nodes {self.nodes} is not reached: there are {len(tree)}")
@@ -340,17 +369,33 @@ def _print(tree: Tree, found: dict[str, Any]) -> None:
 
 
 class _Bar:
-    """What is shown while a tree grows: how much of what ends it is done, and what is refused."""
+    """What is shown while a tree grows: what has come of it, time left, and what is refused."""
 
-    def __init__(
-        self, stack: ExitStack, nodes: int | None, seconds: float | None, until: float | None
-    ) -> None:
+    def __init__(self, nodes: int | None, seconds: float | None, until: float | None) -> None:
         self._ends = nodes, seconds, until
-        self._bar = stack.enter_context(progress(notes()))
-        self._grown = self._bar.add_task("", total=1.0)
-        self._refused = self._bar.add_task("", total=1.0, visible=False)
+        self._bar = _Noted(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=20),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}", markup=False),
+            console=notes(),
+        )
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> _Bar:
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and issubclass(kind, DexctlError):
+            self._bar.live.transient = True  # what went wrong stands alone
+            self._bar.live.stop()
+        else:
+            self._bar.stop()
 
     def __call__(self, now: Progress) -> None:
+        nodes, seconds, until = self._ends
         done = [
             value / end
             for value, end in zip(
@@ -358,19 +403,38 @@ class _Bar:
             )
             if end
         ]
-        refused = sum(now.refused.values())
-        share = (now.nodes - 1) / max(now.nodes - 1 + refused, 1)
         rate = now.nodes / max(now.seconds, 1e-9)
+        if self._task is None:
+            self._task = self._bar.add_task("", total=1.0, left="")
+        self._bar.note = refusals(now)
+        left = "" if seconds is None else f"at most {max(seconds - now.seconds, 0.0):.0f} s more"
+        wanted = "" if until is None else f" of {until:.2f}"
+        of = "" if nodes is None else f" of {nodes}"
         self._bar.update(
-            self._grown,
-            completed=max(done),
-            description=f"{now.nodes} nodes, {rate:.0f}/s, {now.rotation:.2f} rad",
+            self._task,
+            completed=max(done, default=0.0),
+            description=f"{now.nodes}{of} nodes, {rate:.0f}/s, {now.rotation:.2f}{wanted} rad",
+            left=left,
         )
-        why = max(now.refused, key=lambda name: now.refused[name], default="")
-        most = f", most for {why}" if why else ""
-        self._bar.update(
-            self._refused,
-            completed=share,
-            description=f"accepted{most}",
-            visible=bool(now.refused),
-        )
+
+
+class _Noted(Bar):
+    """A progress bar with a line below it."""
+
+    note = ""
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        yield self.make_tasks_table(self.tasks)
+        if self.note:
+            yield Text(self.note)
+
+
+def refusals(now: Progress) -> str:
+    """Which share of the candidates is accepted, and why most of the others are not."""
+    tried = now.nodes - 1 + sum(now.refused.values())
+    most = sorted(((n, why) for why, n in now.refused.items() if n), reverse=True)[:_WHY]
+    if not tried:
+        return ""
+    said = f"{100 * (now.nodes - 1) / tried:.0f} % of the candidates accepted"
+    shares = ", ".join(f"{why} {100 * n / tried:.0f} %" for n, why in most)
+    return said + (shares and f"; refused for {shares}")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
-from dexctl.cli.checks import make_folder
+from dexctl.cli.checks import new_folder
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import Switch, given
 from dexctl.controllers import label
@@ -62,12 +61,10 @@ class Train:
             raise MissingExtra("dexctl train", "learning")
         from learning.training.trainer import resume, train
 
-        config, new = self.config, False
+        config = self.config
         if self.resume is None:
             config.env.scene.check_objects()
-            wanted = (self.out or self._folder()).expanduser()
-            new = not wanted.exists()
-            folder = make_folder(wanted)
+            folder = (self.out or self._folder()).expanduser()
         else:
             folder = self.resume.expanduser()
             before = to_plain(replace(_config_of(folder), steps=config.steps))
@@ -76,12 +73,8 @@ class Train:
                 raise InvalidInput(f"with --resume, only --steps may be given: {other}")
         with _Bar(config.steps) as bar:
             if self.resume is None:
-                try:
+                with new_folder(folder):
                     found = train(config, folder, report=bar.show, remark=bar.remark)
-                finally:
-                    if new:
-                        with suppress(OSError):  # it holds a run, but where that never began
-                            folder.rmdir()
             else:
                 bar.remark(f"the run is kept in {folder}")
                 found = resume(folder, config.steps, report=bar.show, remark=bar.remark)

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from dexctl.cli import main
-from dexctl.planning import Tree, grow, sample_grasps
+from dexctl.cli.plan import refusals
+from dexctl.planning import Progress, Tree, grow, sample_grasps
 from dexctl.sim import GraspStates, SceneConfig, Simulation
 
 SMALL = ["--expand", "random", "--random.batch", "8", "--object", "cylinder", "--threads", "1"]
@@ -172,6 +173,71 @@ def test_what_is_not_reached_is_said(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main([*words, "--nodes", "600", "--out", str(out)]) == 2
     assert "no grasp of the dodecahedron was reached" in capsys.readouterr().err
     assert len(Tree.load(out)) == 1
+
+
+def test_a_full_turn_has_some_minutes_where_nobody_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What could not be turned so far was tried for ever."""
+    ends: list[tuple[float | None, float | None]] = []
+
+    def soon(*arguments, **keywords):
+        ends.append((keywords["until_rotation"], keywords["seconds"]))
+        return grow(*arguments, **{**keywords, "seconds": 0.2})
+
+    monkeypatch.setattr("dexctl.cli.plan.grow", soon)
+    goal = ["--goals.orientations", "0.9553,0,0,0.2955"]
+    words = ["plan", "--expand", "kinematic", "--object", "cylinder", "--threads", "1"]
+    for i, (more, wanted) in enumerate((
+        ([], (2 * np.pi, 600.0)),
+        (["--until-rotation", "3"], (3.0, 600.0)),
+        (["--nodes", "5"], (None, None)),
+        (["--seconds", "0.2"], (None, 0.2)),
+        (goal, (None, 60.0)),
+        (["--until-rotation", "6", *goal], (6.0, 600.0)),
+    )):  # fmt: skip
+        main([*words, *more, "--out", str(tmp_path / str(i))])
+        said = " ".join(capsys.readouterr().err.split())
+        assert ends.pop() == wanted
+        if not more:
+            assert "--until-rotation 6.28 is not reached in 600 s: the greatest" in said
+            assert "% of the candidates accepted" in said
+
+
+def test_the_line_below_the_bar_says_why_candidates_are_refused() -> None:
+    refused = {"bounds": 3, "reach": 0, "clearance": 40, "closure": 30, "residual": 7}
+    assert refusals(Progress(21, 9, 0.5, 1.0, refused, 0)) == (
+        "20 % of the candidates accepted; refused for clearance 40 %, closure 30 %, residual 7 %"
+    )
+    assert refusals(Progress(1, 0, 0.0, 1.0, {}, 0)) == ""
+
+
+def test_what_fails_leaves_no_folder_and_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "a" / "b"
+    for words in (
+        ["--nodes", "-1"],
+        ["--expand", "followed", "--followed.tree", "no.npz"],
+        ["--until-rotation", "30"],
+        ["--resume"],
+        ["--object", "cube", "--object-mass", "5"],
+    ):
+        assert main(["plan", *words, "--out", str(out)]) != 0
+        assert capsys.readouterr().err.count("\n") == 1
+        assert not any(tmp_path.iterdir())
+
+
+def test_what_several_processes_left_can_be_deleted(tmp_path: Path) -> None:
+    line = ["plan", *SMALL[:-2], "--nodes", "12", "--jobs", "2", "--out", str(tmp_path)]
+    assert main(line) == 0
+    for part in tmp_path.glob(".tree.*.npz"):
+        part.unlink()
+    before = len(Tree.load(tmp_path))
+    more = [*line[:-4], "--out", str(tmp_path), "--resume"]
+    more[more.index("12")] = "20"
+    assert main(more) == 0
+    assert len(Tree.load(tmp_path)) >= 20 > before
 
 
 def test_episodes_start_from_a_tree(folder: Path) -> None:
