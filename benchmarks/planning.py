@@ -1,7 +1,8 @@
 """Trees of grasps: how soon they turn an object all the way round, and what that costs.
 
 Times are seconds of the processor, with one thread, so that other work on the machine counts
-little. Each part can be measured by itself and adds its rows to the result.
+little. Each part can be measured by itself and adds its rows to the result; with --parts and no
+name nothing is measured, and the picture is drawn of the rows that are there.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from common import (
 )
 
 from dexctl.exceptions import InvalidInput
+from dexctl.files import aside
 from dexctl.planning import (
     ControllerMacros,
     Expansion,
@@ -45,6 +47,7 @@ from dexctl.planning import (
     holding,
     sample_grasps,
 )
+from dexctl.report.style import drawing, finger_colour, new_figure
 from dexctl.sim import Scene, SceneConfig, Simulation, run
 from dexctl.statistics import wilson
 
@@ -86,6 +89,10 @@ class Options(Settings):
     """Simulated time of those trials [s]."""
     checked: int = 512
     """Nodes of the large tree that are held in simulation."""
+    picture: Path | None = (
+        Path(__file__).resolve().parents[1] / "docs" / "images" / "plan-ablation.png"
+    )
+    """Where the ablations are drawn; None: nowhere."""
 
 
 class Stop(Exception):
@@ -235,6 +242,49 @@ def ablation_table(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "header": ["K_max", "alpha [rad]", "rotation [rad]: median (range)", "nodes", "expansions"],
         "rows": lines,
     }
+
+
+def so_far(row: dict[str, Any], column: int, grid: np.ndarray) -> np.ndarray:
+    """The rotation that a tree had reached at each value of a column of its history."""
+    history = np.array(row["history"])
+    place = np.searchsorted(history[:, column], grid, side="right") - 1
+    found = np.where(place >= 0, history[np.maximum(place, 0), 4], 0.0)
+    return np.where(grid <= history[-1, column], found, np.nan)
+
+
+def draw(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Rotation by expansions and by time, for each K_max and each alpha: medians and ranges.
+
+    A line ends where the first of its seeds does.
+    """
+    usual = RandomActions()
+    with drawing():
+        figure = new_figure(8.0, 5.4)
+        axes = figure.subplots(2, 2, sharey=True)
+        for panels, (name, title, fixed) in zip(
+            axes, (("actions", "K_max", "scale"), ("scale", "alpha [rad]", "actions")), strict=True
+        ):
+            some = [row for row in rows if row[fixed] == getattr(usual, fixed)]
+            for i, value in enumerate(sorted({row[name] for row in some})):
+                own = [row for row in some if row[name] == value]
+                for panel, column in zip(panels, (1, 0), strict=True):
+                    ends = [row["history"][-1][column] for row in own]
+                    grid = np.geomspace(min(r["history"][0][column] for r in own), min(ends), 300)
+                    turned = np.array([so_far(row, column, grid) for row in own])
+                    panel.plot(
+                        grid, np.median(turned, axis=0), color=finger_colour(i), label=f"{value:g}"
+                    )
+                    panel.fill_between(
+                        grid, turned.min(axis=0), turned.max(axis=0), color=finger_colour(i),
+                        alpha=0.12, lw=0,
+                    )  # fmt: skip
+            panels[0].set(
+                xscale="log", xlabel="expansions", ylabel="rotation [rad]", ylim=(0, None)
+            )
+            panels[1].set(xscale="log", xlabel="processor time [s]")
+            panels[0].legend(title=title, loc="upper left", title_fontsize=8.5)
+        with aside(path) as part:
+            figure.savefig(part)
 
 
 def sampling(given: Options) -> list[dict[str, Any]]:
@@ -429,6 +479,9 @@ def main() -> None:
         tables = [ablation_table(some)] if some else []
         last = part == given.parts[-1]
         write("planning", given, figures(rows, given), tables, say=last, trials=rows)
+    some = [r for r in rows if r["part"] == "ablations"]
+    if given.picture is not None and some:
+        draw(given.picture, some)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ RUNS: dict[str, list[str]] = {
         *("--seeds", "1", "--slow-seeds", "1", "--objects", "cylinder", "--hard", "cylinder"),
         *("--parts", "kinematic", "large", "random", "literal", "sampling", "--limit", "0.2"),
         *("--large", "300", "--short", "0.1", "--checked", "16", "--steps", "3000"),
+        *("--picture", "None"),
     ],
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "gaits_long.py": [*SHORT, "--objects", "cylinder"],
@@ -145,6 +146,16 @@ def test_learning_curves_are_drawn(tmp_path: Path) -> None:
     done = run("learning_curves.py", "--out", tmp_path / "curves.png")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_ablations_of_trees_are_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="the extra 'viz' is not installed")
+    picture = tmp_path / "ablation.png"
+    before = (FOLDER / "results" / "planning.json").read_bytes()
+    done = run("planning.py", "--parts", "--picture", picture)
+    assert done.returncode == 0, done.stderr
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert (FOLDER / "results" / "planning.json").read_bytes() == before
 
 
 def test_interrupted_run_goes_on(tmp_path: Path) -> None:
