@@ -6,7 +6,7 @@ it stays there while the object moves, and the ball rolls on it.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from dexctl.grasp import is_force_closure
 from dexctl.igm import stable_forces
 from dexctl.rotations import inverse, rotate
-from dexctl.sim import Scene
-from dexctl.sim.hand_geometry import HandGeometry, LinkPoses
-from dexctl.sim.shapes import Shape
 from dexctl.state import Bools, Floats
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene
+    from dexctl.sim.hand_geometry import LinkPoses
 
 _TOUCHING = 1e-4  # how deep a ball that touches is in the surface [m]
 _WEAKEST = 0.2  # least share of a finger that touches
@@ -43,7 +44,7 @@ class Reached(NamedTuple):
 
     def take(self, index: NDArray[np.intp] | Bools) -> Reached:
         """Some of them, copied."""
-        poses = LinkPoses(*(part[index] for part in self.poses))
+        poses = self.poses._make(part[index] for part in self.poses)
         return Reached(self.q[index], poses, self.tip[index], self.good[index])
 
     def put(self, rows: NDArray[np.intp], new: Reached) -> None:
@@ -63,6 +64,9 @@ class ContactModel:
     """
 
     def __init__(self, scene: Scene, friction: float, margin: float) -> None:
+        from dexctl.sim.hand_geometry import HandGeometry
+        from dexctl.sim.shapes import Shape
+
         self.scene, self.hand = scene, scene.hand
         self.geometry = HandGeometry(scene)
         self.shape = Shape.of_body(scene.model)
@@ -130,7 +134,7 @@ class ContactModel:
             open_, error = open_[far], error[far]
             if not len(open_):
                 break
-            some = LinkPoses(*(part[open_] for part in poses))
+            some = poses._make(part[open_] for part in poses)
             jacobian = self.geometry.tip_jacobian(some, tip[open_])
             length = np.linalg.norm(error, axis=-1, keepdims=True)
             error = error * np.minimum(1.0, 0.03 / np.maximum(length, 1e-12))

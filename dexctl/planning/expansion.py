@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,10 @@ from dexctl.planning.metric import Metric
 from dexctl.planning.nodes import Frame, Nodes
 from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
-from dexctl.sim import Scene
 from dexctl.state import Floats
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

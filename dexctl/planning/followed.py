@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +15,11 @@ from dexctl.planning.nodes import Nodes
 from dexctl.planning.route import Indices, Route
 from dexctl.planning.simulated import Driven, SimulatedExpander
 from dexctl.planning.tree import Tree
-from dexctl.sim import BatchSimulator, Scene
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import check_numbers, check_whole
+
+if TYPE_CHECKING:
+    from dexctl.sim import BatchSimulator, Scene
 
 _LONGEST = 6.0  # an edge that is not over by then is given up [s]
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,8 +23,11 @@ from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 from dexctl.settings import absolute, to_plain
-from dexctl.sim import Scene, SceneConfig
+from dexctl.sim import SceneConfig
 from dexctl.validation import check_seed, number, shown
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene
 
 _STUCK = 3000  # expansions of the root without a node beyond it: it is given up
 _BLOCK = 10.0  # the file is written anew after this long, and never for more than a tenth of it [s]
@@ -101,6 +104,8 @@ def grow(
             grasp was reached from the root in 3,000 expansions.
         SimulationError: the object does not stay in the hand.
     """
+    from dexctl.sim import Scene
+
     path = None if path is None else make_parent(path)
     metric = Metric() if metric is None else metric
     bounds = Bounds() if bounds is None else bounds

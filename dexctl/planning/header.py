@@ -6,14 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning.scene_settings import PHYSICS
 from dexctl.settings import absolute, differing, from_plain, get, to_plain
-from dexctl.sim import Scene, SceneConfig
+from dexctl.sim import SceneConfig
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene
+
 
 FORMAT = 1
 _SAME = (
@@ -92,6 +96,8 @@ class TreeHeader:
 
     def build_scene(self) -> Scene:
         """The scene that the tree is of: as it was configured, else by what the header says."""
+        from dexctl.sim import Scene
+
         if self.scene is not None:
             (scene,) = from_plain(SceneConfig, self.scene).scenes()
             return scene

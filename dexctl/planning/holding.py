@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +14,10 @@ from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 from dexctl.settings import from_plain
-from dexctl.sim import BatchSimulator, Scene
 from dexctl.state import Bools
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene
 
 _LASTING = 2.0  # how long set-points are held at least, where nothing else is said [s]
 
@@ -43,6 +46,8 @@ def holding(
     Raises:
         InvalidInput: another hand, object or gravity than the tree's.
     """
+    from dexctl.sim import BatchSimulator
+
     header, joints = tree.header, tuple(scene.hand.joint_names)
     same = header.joint_names == joints and header.object == scene.object
     if not (same and np.allclose(header.gravity, scene.gravity)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,12 @@ from dexctl.gait.selection import Choice, Grasps, choose
 from dexctl.planning.expansion import Expander, Expansion, Problem
 from dexctl.planning.nodes import Nodes
 from dexctl.planning.simulated import Driven, SimulatedExpander
-from dexctl.sim import BatchSimulator
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.landing import Landing, azimuth, landing_at, split, turned
 from dexctl.validation import check_kind, check_numbers, check_pair, check_whole
+
+if TYPE_CHECKING:
+    from dexctl.sim import BatchSimulator
 
 _LONGEST = 4.0  # a macro that is not over by then is given up [s]
 

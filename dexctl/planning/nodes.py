@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.rotations import cross, inverse, multiply, rotate, twist_angle
-from dexctl.sim import BatchSimulator, Scene
 from dexctl.state import Bools, Floats
 from dexctl.validation import unit_axis
+
+if TYPE_CHECKING:
+    from dexctl.sim import BatchSimulator, Scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,6 +167,8 @@ def root_of(scene: Scene) -> Nodes:
     Raises:
         SimulationError: the object does not stay in the hand.
     """
+    from dexctl.sim import BatchSimulator
+
     settled = scene.settled
     with BatchSimulator(scene, 1, disturbance=0.0, threads=1) as sim:
         touch = sim.read().in_contact

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dexctl.planning.expansion import Expander, Expansion, Problem
 from dexctl.planning.nodes import Nodes
 from dexctl.planning.simulated import Driven, SimulatedExpander
-from dexctl.sim import BatchSimulator
 from dexctl.validation import check_numbers, check_whole
+
+if TYPE_CHECKING:
+    from dexctl.sim import BatchSimulator
 
 
 @dataclass(frozen=True, kw_only=True)

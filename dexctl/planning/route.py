@@ -11,7 +11,6 @@ from dexctl.planning.metric import Metric
 from dexctl.planning.tree import Tree
 from dexctl.rotations import inverse, rotate, shortest
 from dexctl.settings import from_plain
-from dexctl.sim.shapes import Shape
 from dexctl.state import Bools, Floats
 from dexctl.switch.landing import Landing
 from dexctl.validation import shown
@@ -79,6 +78,8 @@ class Route:
         self.tip = self.in_object(
             hand.fingertip_positions(nodes.q), nodes.object_position, nodes.object_quaternion
         )
+        from dexctl.sim.shapes import Shape
+
         shape = Shape.of_body(header.build_scene().model)
         self._inward = -shape.nearest(self.tip)[1]
         self.finger = self._fingers(hand)

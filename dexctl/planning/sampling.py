@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,11 +23,15 @@ from dexctl.planning.scene_settings import Stepping
 from dexctl.planning.stability import Stability
 from dexctl.rotations import from_rotation_vector, inverse, multiply, rotate
 from dexctl.settings import to_plain
-from dexctl.sim import BatchSimulator, Scene, SceneConfig
+from dexctl.sim import SceneConfig
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Bools, Floats
 from dexctl.switch.landing import split, turned
 from dexctl.validation import check_name, check_numbers, check_seed, check_whole
+
+if TYPE_CHECKING:
+    from dexctl.sim import BatchSimulator, Scene
+
 
 PLACES = ("fingertips", "joints")
 _PALM = np.array([0.0, 0.0, 1.0])  # hands are described so that their palm looks along z
@@ -133,6 +137,8 @@ def sample_grasps(
             found at all.
         SimulationError: the object does not stay in the hand.
     """
+    from dexctl.sim import BatchSimulator
+
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
         raise InvalidInput(f"count is {count!r}; expected a whole number above 0")
     seed = check_seed(seed, 0)

@@ -9,15 +9,17 @@ not hold, gives the same node for a fraction of the steps.
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.planning.expansion import Offspring, Problem
 from dexctl.planning.nodes import Nodes, children, put
-from dexctl.sim import BatchSimulator
 from dexctl.state import Bools, Floats
+
+if TYPE_CHECKING:
+    from dexctl.sim import BatchSimulator
 
 
 class Driven(NamedTuple):
@@ -63,6 +65,8 @@ class SimulatedExpander:
     def __init__(
         self, problem: Problem, drive: Drive, *, batch: int, candidates: int, lazy: bool
     ) -> None:
+        from dexctl.sim import BatchSimulator
+
         self.batch, self.action_names = batch, drive.action_names
         self._problem, self._drive, self._candidates, self._lazy = problem, drive, candidates, lazy
         self._sim = BatchSimulator(

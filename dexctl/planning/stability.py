@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from dexctl.exceptions import InvalidInput
 from dexctl.grasp import DynamicStability, check_stable
-from dexctl.sim import BatchSimulator
 from dexctl.state import Bools
 from dexctl.validation import check_numbers, check_whole
+
+if TYPE_CHECKING:
+    from dexctl.sim import BatchSimulator
 
 
 @dataclass(frozen=True, kw_only=True)

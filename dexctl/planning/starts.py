@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from dexctl.exceptions import InvalidInput
 from dexctl.planning.holding import holding
 from dexctl.planning.tree import Tree
-from dexctl.sim import Scene
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Floats
 from dexctl.validation import check_name
+
+if TYPE_CHECKING:
+    from dexctl.sim import Scene
+
 
 Goals = Literal["greatest", "even"]
 Weights = Literal["rotation", "equal"]
