@@ -2,6 +2,7 @@
 
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.cluster import grow_on_cluster
+from dexctl.planning.contacts import Clearance, link_clearance
 from dexctl.planning.expansion import Expander, Expansion, Offspring, Problem
 from dexctl.planning.followed import FollowedEdges
 from dexctl.planning.following import PlannedGait
@@ -24,6 +25,7 @@ from dexctl.planning.tree import Tree
 
 __all__ = [
     "Bounds",
+    "Clearance",
     "ControllerMacros",
     "Expander",
     "Expansion",
@@ -50,6 +52,7 @@ __all__ = [
     "grow_in_processes",
     "grow_on_cluster",
     "holding",
+    "link_clearance",
     "path_states",
     "sample_grasps",
 ]

@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from dexctl.exceptions import InvalidInput
 from dexctl.grasp import is_force_closure
 from dexctl.igm import stable_forces
 from dexctl.rotations import inverse, rotate
@@ -52,6 +53,54 @@ class Reached(NamedTuple):
         for part, value in zip(self.poses, new.poses, strict=True):
             part[rows] = value
         self.q[rows], self.tip[rows], self.good[rows] = new.q, new.tip, new.good
+
+
+class Clearance(NamedTuple):
+    """How far a hand keeps off what it should not touch; negative where it is inside.
+
+    Attributes:
+        links: the nearest of the links below the fingertips to the object's surface, ``(...)`` [m].
+        fingertips: each to the object's surface, ``(..., m)`` [m]; about 0 where it touches.
+        fingers: the nearest two of different fingers to each other, ``(...)`` [m].
+    """
+
+    links: Floats
+    fingertips: Floats
+    fingers: Floats
+
+
+def link_clearance(
+    scene: Scene, q: ArrayLike, object_position: ArrayLike, object_quaternion: ArrayLike
+) -> Clearance:
+    """How far links keep off the object and fingers off each other, without physics.
+
+    Links are covered by balls inside of them, as `Kinematic` sees them (its ``margin``), so corners
+    of a link may be nearer by some millimetres.
+
+    Args:
+        scene: hand and object; the simulated state of it does not matter.
+        q: ``(..., d)`` [rad].
+        object_position: ``(..., 3)`` [m].
+        object_quaternion: wxyz, ``(..., 4)``.
+
+    Raises:
+        InvalidInput: arrays of other shapes, or a hand that `Kinematic` is not for.
+    """
+    joints, position, quaternion = (
+        np.asarray(value, float) for value in (q, object_position, object_quaternion)
+    )
+    batch = joints.shape[:-1]
+    for name, value, width in (
+        ("q", joints, scene.hand.nq),
+        ("object_position", position, 3),
+        ("object_quaternion", quaternion, 4),
+    ):
+        if value.shape != (*batch, width):
+            raise InvalidInput(f"{name} has shape {value.shape}; expected {(*batch, width)}")
+    model = ContactModel(scene, friction=0.5, margin=0.0)
+    poses = model.geometry.poses(joints.reshape(-1, scene.hand.nq))
+    found = model.clearance(poses, position.reshape(-1, 3), quaternion.reshape(-1, 4))
+    return Clearance(*(part.reshape((*batch, *part.shape[1:])) for part in found))
 
 
 class ContactModel:
@@ -172,6 +221,22 @@ class ContactModel:
         apart = np.linalg.norm(every[:, a] - every[:, b], axis=-1)
         met = (apart < radius[a] + radius[b] + self.margin).any(axis=1)
         return free.all(axis=1) & (off | touch).all(axis=1) & ~met
+
+    def clearance(self, poses: LinkPoses, position: Floats, quaternion: Floats) -> Clearance:
+        """See `link_clearance`; what `clear` asks of it more quickly."""
+        links, tips = self.geometry.links, self.geometry.tips
+        every = np.concatenate([poses.centres(links), poses.centres(tips)], axis=1)
+        radius = np.concatenate([links.radius, tips.radius])
+        turn = np.broadcast_to(quaternion[:, None], (*every.shape[:2], 4))
+        away = self.shape.distance(rotate(inverse(turn), every - position[:, None])) - radius
+        a, b = self._between
+        apart = np.linalg.norm(every[:, a] - every[:, b], axis=-1) - radius[a] - radius[b]
+        below = len(links.radius)
+        return Clearance(
+            away[:, :below].min(axis=1, initial=np.inf),
+            away[:, below:],
+            apart.min(axis=1, initial=np.inf),
+        )
 
     def _off(self, local: Floats, radius: Floats) -> Bools:
         """Whether the surface is further than ``radius`` from points in the object's frame."""

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dexctl.sim.scene_config import SceneConfig
     from dexctl.sim.sensing import Sensing
     from dexctl.sim.settle_failure import SettleFailure
+    from dexctl.sim.shapes import Shape
     from dexctl.sim.simulation import Simulation
     from dexctl.sim.simulator import BatchSimulator, SimulatorState
     from dexctl.sim.state_rows import StateRows
@@ -46,6 +47,7 @@ __all__ = [
     "SceneConfig",
     "Sensing",
     "SettleFailure",
+    "Shape",
     "Simulation",
     "SimulatorState",
     "StateRows",
@@ -72,6 +74,7 @@ _HOMES = {
     "scene_config": ("SceneConfig",),
     "sensing": ("Sensing",),
     "settle_failure": ("SettleFailure",),
+    "shapes": ("Shape",),
     "simulation": ("Simulation",),
     "simulator": ("BatchSimulator", "SimulatorState"),
     "state_rows": ("StateRows",),

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dexctl.exceptions import InvalidInput
-from dexctl.planning import Kinematic, Stability, Tree, grow, holding
+from dexctl.planning import Kinematic, Stability, Tree, grow, holding, link_clearance
+from dexctl.planning.contacts import ContactModel, Reached
 from dexctl.planning.kinematic import projected
 from dexctl.rotations import inverse, rotate
-from dexctl.sim import Scene
+from dexctl.sim import Scene, Shape
 from dexctl.sim.hand_geometry import HandGeometry
-from dexctl.sim.shapes import Shape
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +87,31 @@ def test_nearly_all_hold_in_simulation(l_shape: Scene, tree: Tree) -> None:
     np.testing.assert_array_equal(one, held[:3])
     with pytest.raises(InvalidInput, match="the scene is Scene"):
         holding(Scene.build("dex5", "cube", "up"), tree)
+
+
+def test_links_keep_off_the_object_by_the_margin(l_shape: Scene, tree: Tree) -> None:
+    nodes = tree.nodes.take(np.arange(1, 200))
+    pose = nodes.object_position, nodes.object_quaternion
+    found = link_clearance(l_shape, nodes.q, *pose)
+    assert found.links.min() >= Kinematic().margin and found.fingers.min() >= Kinematic().margin
+    assert np.abs(found.fingertips[nodes.in_contact]).max() < 1e-3
+    assert (found.fingertips[~nodes.in_contact] >= Kinematic().margin).all()
+    one = link_clearance(l_shape, nodes.q[3], pose[0][3], pose[1][3])
+    assert one.links.shape == () and one.fingertips.shape == (5,)
+    for a, b in zip(one, found, strict=True):
+        np.testing.assert_allclose(a, b[3], atol=1e-12)
+    # the quick test agrees at any margin
+    model = ContactModel(l_shape, 0.5, float(np.median(found.links)))
+    poses = model.geometry.poses(nodes.q)
+    there = Reached(nodes.q, poses, poses.centres(model.geometry.tips), np.ones(199, bool))
+    enough = (found.links > model.margin) & (found.fingers > model.margin)
+    enough &= ((found.fingertips > model.margin) | nodes.in_contact).all(axis=1)
+    np.testing.assert_array_equal(model.clear(there, nodes.in_contact, *pose), enough)
+    assert 0 < enough.sum() < 199
+    with pytest.raises(
+        InvalidInput, match=r"object_position has shape \(3,\); expected \(199, 3\)"
+    ):
+        link_clearance(l_shape, nodes.q, np.zeros(3), pose[1])
 
 
 def test_whether_they_hold_goes_by_the_trees_own_check(l_shape: Scene) -> None:
