@@ -32,13 +32,12 @@ from dexctl.exceptions import DexctlError, HandModelError
 from dexctl.igm import InGraspManipulationConfig
 from dexctl.sim import SceneConfig
 
-_LIGHT = {"object_mass": 0.05}
-# what suits each hand: of the width and at the place in its toml, which `dexctl hands add` found,
-# but where that is a sphere's and the gait holds another cube better
+# what suits each hand: of the width and mass and at the place in its toml, which `dexctl hands add`
+# found, but where that is a sphere's and the gait holds another cube better
 HELD: dict[str, dict[str, dict[str, float]]] = {
-    "wonik_allegro": {"sphere": _LIGHT, "cylinder": _LIGHT, "cube": _LIGHT},
-    "leap_hand": {"sphere": _LIGHT, "cube": {**_LIGHT, "object_size": 0.06}},
-    "shadow_hand": {"sphere": _LIGHT, "cube": _LIGHT},
+    "wonik_allegro": {"sphere": {}, "cylinder": {}, "cube": {}},
+    "leap_hand": {"sphere": {}, "cube": {"object_size": 0.06}},
+    "shadow_hand": {"sphere": {}, "cube": {}},
 }
 _SLOW = InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), stability_gain=0.01)
 # title: controller and what differs from its defaults
@@ -161,7 +160,7 @@ def over_kind(rows: list[dict[str, Any]], kind: str, seconds: float) -> list[Fig
 
 def measure(hand: HandModel, name: str, palm: str, given: Options) -> list[dict[str, Any]]:
     """The rows of a hand with an object: one for each controller."""
-    options: dict[str, Any] = HELD.get(hand.name, {}).get(name, _LIGHT)
+    options: dict[str, Any] = HELD.get(hand.name, {}).get(name, {})
     about = {"hand": hand.name, "object": name, "palm": palm}
     config = SceneConfig(hand=hand.name, object=(name,), gravity=palm, **options)
     try:

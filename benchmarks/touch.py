@@ -39,7 +39,7 @@ ROBOTS: dict[str, tuple[str, ...]] = {
     "leap_hand": ("coordinated",),
 }
 """Hands, and the controllers that turn their objects."""
-OF_OTHERS, LIGHT = ("sphere",), 0.05  # [kg]
+OF_OTHERS = ("sphere",)
 OBJECTS = ("cube", "cylinder", "sphere", "icosahedron", "dodecahedron")
 CONTROLLERS = {"coordinated": "coordinated gait", "igm": "in-grasp manipulation"}
 GEAR_FRICTION, OFFSET, LATENCY = 0.02, 0.02, 0.05  # [N m], [rad], [s]
@@ -70,7 +70,6 @@ def scene(robot: str, name: str, palm: str, touch: Any, hand: str) -> SceneConfi
         hand=robot,
         object=(name,),
         gravity=palm,
-        object_mass=SceneConfig.object_mass if robot == "dex5" else LIGHT,
         gear_friction=GEAR_FRICTION if real else None,
         sensing=Sensing(
             touch=touch,

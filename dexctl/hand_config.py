@@ -127,6 +127,8 @@ class HeldObject:
     """Width of the objects that suit the hand [m]."""
     shape: str | None = None
     """Name of the object that suits the hand best."""
+    mass: float = 0.1
+    """Of objects that the hand holds, where nobody says another [kg]."""
     reach: float | None = None
     """How far round such an object each fingertip can go, to either side of where it holds, with
     nothing but the fingertip touching [rad]; none: not known. Gaits swing no further."""
@@ -136,6 +138,8 @@ class HeldObject:
             raise HandModelError(f"object.centre is {self.centre!r}; expected three finite numbers")
         if self.size is not None and not (np.isfinite(self.size) and self.size > 0):
             raise HandModelError(f"object.size is {self.size!r}; expected a finite number above 0")
+        if not (np.isfinite(self.mass) and self.mass > 0):
+            raise HandModelError(f"object.mass is {self.mass!r}; expected a finite number above 0")
         if self.reach is not None and not (np.isfinite(self.reach) and self.reach > 0):
             raise HandModelError(f"object.reach is {self.reach!r}; expected radians above 0")
 

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.hand_config import HandConfig
 from dexctl.settings import FILE_OR_NAME, NESTED, changed
 from dexctl.validation import check_whole
 from learning.algorithms.config import (
@@ -147,6 +148,11 @@ class TrainConfig:
     def learner(self) -> SACConfig | TD3Config | PPOConfig:
         """The settings of the algorithm that is chosen."""
         return {"sac": self.sac, "td3": self.td3, "ppo": self.ppo}[self.algorithm]
+
+    def with_mass(self, hand: HandConfig) -> TrainConfig:
+        """The same with the object's mass said, for what is kept: the hand's toml may change."""
+        scene = self.env.scene.with_mass(hand)
+        return replace(self, env=replace(self.env, scene=scene))
 
     @property
     def guides(self) -> tuple[str, ...]:

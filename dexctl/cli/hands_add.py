@@ -16,7 +16,7 @@ from dexctl.cli.hands_grasp import Turning, chosen, suggestions
 from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
-from dexctl.hand_config import HandConfig, ServoConfig
+from dexctl.hand_config import HandConfig, HeldObject, ServoConfig
 
 if TYPE_CHECKING:
     from dexctl.hand import HandModel
@@ -49,6 +49,8 @@ class Add:
     coordinated gait turns furthest."""
     object_size: float | None = None
     """Width of that object [m]; none: found."""
+    object_mass: float = HeldObject.mass
+    """Mass of that object [kg]."""
     seed: int = 0
     """Seed of the search for the grasp."""
     grasp: bool = True
@@ -69,17 +71,21 @@ class Add:
         if out.exists() and not self.replace:
             raise InvalidInput(f"{out} is there already; give another --out, or --replace")
         make_folder(out.parent)
-        if self.object_size is not None and not (
-            np.isfinite(self.object_size) and self.object_size > 0
+        for option, value, unit in (
+            ("size", self.object_size, "a width in metres"),
+            ("mass", self.object_mass, "kilograms above 0"),
         ):
-            raise InvalidInput(f"--object-size is {self.object_size}; expected a width in metres")
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InvalidInput(f"--object-{option} is {value}; expected {unit}")
         if self.object is not None:
             from dexctl.sim.scene_config import SceneConfig
 
             SceneConfig(object=(self.object,)).check_objects()
         proposal = propose(self.file, self.fingertips, self.base)
         reasons = {"": self._head(), **proposal.reasons}
-        config = replace(proposal.config, name=out.stem)
+        reasons["object.mass"] = "Of the object that grasps were tried with [kg]."
+        held = replace(proposal.config.object, mass=self.object_mass)
+        config = replace(proposal.config, name=out.stem, object=held)
         hand = config.build()
         config.write(out, reasons)  # what is known so far, whatever comes of the grasp
         console = notes()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dexctl.description.files import files_of
-from dexctl.hand_config import HandConfig
+from dexctl.hand_config import HandConfig, HeldObject
 from dexctl.hand_toml import to_toml
 
 if TYPE_CHECKING:
@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 def digest(config: HandConfig, description: Path) -> str:
     """SHA-256 over the settings, the description file, what it includes, and its meshes.
 
-    Names, places of files and comments do not count.
+    Names, places of files and comments do not count, nor does the mass of objects, which runs and
+    policies name themselves.
     """
-    settings = replace(config, description=Path("description"), name="hand", about="")
+    held = replace(config.object, mass=HeldObject.mass)
+    settings = replace(config, description=Path("description"), name="hand", about="", object=held)
     found = hashlib.sha256(to_toml(settings, {}).encode())
     for file in files_of(description):
         found.update(hashlib.sha256(file.read_bytes()).digest())

@@ -106,10 +106,14 @@ def units(kind: type) -> Mapping[str, str]:
 
 
 def _object(config: SceneConfig, scene: Scene | None) -> str:
-    width = config.object_size if scene is None else scene.object_width
+    width, mass = (
+        (config.object_size, config.object_mass)
+        if scene is None
+        else (scene.object_width, scene.object_mass)
+    )
     said = [", ".join(config.object)]
     said += [f"{width:g} m wide"] if width else []
-    said += [f"{config.object_mass:g} kg"]
+    said += [f"{mass:g} kg"] if mass else []
     said += [] if scene is None else [f"friction {scene.friction():g}"]
     return ", ".join(said)
 

@@ -102,7 +102,7 @@ class Scene:
         object: str | None = None,  # noqa: A002 (the field's name for it)
         gravity: str | ArrayLike = "up",
         *,
-        object_mass: float = 0.1,
+        object_mass: float | None = None,
         object_size: float | None = None,
         friction: float | ArrayLike = 1.0,
         mesh: str | Path | None = None,
@@ -120,7 +120,7 @@ class Scene:
             object: one of `object_names`, or "mesh" with ``mesh``. Default: "cube", or "mesh"
                 where one is given.
             gravity: "up" (the palm looks up), "down", or a vector ``(3,)`` [m/s^2].
-            object_mass: [kg].
+            object_mass: [kg]; None: what the hand's toml says.
             object_size: width of the object [m]. Default: what suits the hand; a mesh keeps its
                 own size.
             friction: sliding coefficient of the object, or (sliding, torsional [m], rolling [m]).
@@ -148,7 +148,7 @@ class Scene:
         model = hand if isinstance(hand, HandModel) else hands.load(hand)
         name, file = _object(object, mesh, object_mesh)
         held, postures, notes = model.config.object, model.config.postures, ()
-        mass = checks.positive("object_mass", object_mass)
+        mass = checks.positive("object_mass", held.mass if object_mass is None else object_mass)
         if object_size is not None:
             width = checks.positive("object_size", object_size)
         else:
@@ -219,7 +219,7 @@ class Scene:
         object: str | None = None,  # noqa: A002
         *,
         mesh: str | Path | None = None,
-        object_mass: float = 0.1,
+        object_mass: float | None = None,
         object_size: float | None = None,
         friction: float | ArrayLike = 1.0,
         grasp_centre: ArrayLike | None = None,

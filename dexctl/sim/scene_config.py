@@ -14,6 +14,7 @@ from dexctl import hands
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.files import is_path
 from dexctl.hand import HandModel
+from dexctl.hand_config import HandConfig
 from dexctl.limits import HandLimits
 from dexctl.settings import FILE_OR_NAME, NESTED, Vector
 from dexctl.sim.checks import gravity_vector
@@ -50,8 +51,8 @@ class SceneConfig:
     """Name of the object, or of several; the environments of a batch are shared out among them."""
     object_size: float | None = None
     """Width of the object [m]; none: what suits the hand."""
-    object_mass: float = 0.1
-    """Mass of the object [kg]."""
+    object_mass: float | None = None
+    """Mass of the object [kg]; none: as the hand's toml has it, else 0.1."""
     object_friction: float | None = None
     """Sliding friction coefficient between object and fingertips; none: 1."""
     object_mesh: Path | None = None
@@ -88,9 +89,9 @@ class SceneConfig:
         gravity_vector(self.gravity)
         check_numbers(
             self,
-            positive=("object_mass", "control_period"),
+            positive=("control_period",),
             not_negative=("disturbance",),
-            optional=("object_size", *_PARAMETERS),
+            optional=("object_size", "object_mass", *_PARAMETERS),
         )
         check_whole(self, substeps=1)
         if self.threads is not None:
@@ -101,6 +102,11 @@ class SceneConfig:
         """Of the simulator, by its own names; what is not said stays as the files have it."""
         found = {name: getattr(self, setting) for setting, name in _PARAMETERS.items()}
         return {name: value for name, value in found.items() if value is not None}
+
+    def with_mass(self, hand: HandConfig) -> SceneConfig:
+        """The same with the object's mass said, for what is kept: the hand's toml may change."""
+        mass = hand.object.mass if self.object_mass is None else self.object_mass
+        return replace(self, object_mass=mass)
 
     def undisturbed(self) -> SceneConfig:
         """The same without noise, latency of the sensors, pushes, given starts and draws."""

@@ -104,8 +104,9 @@ class SuggestedGrasp(NamedTuple):
         least, most = _REACH
         reach = None if self.score.swing > most else round(max(self.score.swing, least), 2)
         held = HeldObject(
-            centre=(x, y, z), size=round(self.size, 4) or None, shape=shape, reach=reach
-        )
+            centre=(x, y, z), size=round(self.size, 4) or None, shape=shape, reach=reach,
+            mass=config.object.mass,
+        )  # fmt: skip
         postures = PostureConfig(open=named(self.open_q), grasp=named(self.grasp_q))
         return replace(config, postures=postures, object=held)
 
@@ -115,7 +116,7 @@ def suggest(
     name: str,
     *,
     mesh: str | Path | None,
-    object_mass: float,
+    object_mass: float | None,
     object_size: float | None,
     friction: float | ArrayLike,
     grasp_centre: ArrayLike | None,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +97,7 @@ def fingerprint(controller: Controller) -> str:
 def _about(controller: Controller, name: str, protocol: Protocol) -> dict[str, Any]:
     """What decides the numbers: the files that a protocol names count by what is in them."""
     how = changed(protocol, {"object": (name,), "threads": None})  # threads change nothing
+    how = replace(how, scene=how.scene.with_mass(controller.hand.config))
     files = {path: get(how, path) for path in paths(Protocol)}
     return {
         "format": FORMAT,

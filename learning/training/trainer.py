@@ -73,7 +73,7 @@ def train(
             check_starts(trainer.env.simulation, remark or (lambda text: None))
         trainer.begin()
         with folder.lock():
-            folder.create(config)
+            folder.create(trainer.config)
             folder.note_hand(trainer.env.hand)
             if remark is not None:
                 remark(f"the run is kept in {path}")
@@ -158,8 +158,9 @@ class Trainer:
         remark: Remark | None = None,
     ) -> None:
         torch.set_num_threads(config.torch_threads)
-        self.config, self.folder = config, folder
+        self.folder = folder
         self.env = build_env(config)
+        self.config = config = config.with_mass(self.env.hand.config)
         self.guide = build_guide(config, self.env)
         self.algorithm = build_algorithm(config, self.env)
         self.curriculum = Curriculum(config.curriculum, config.env.episode_steps)

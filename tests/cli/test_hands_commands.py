@@ -36,6 +36,7 @@ def test_add_without_a_grasp(
     assert len(drawn) == PICTURES
     assert all("the_hand" in one.name and one.is_file() for one in drawn)
     config = HandConfig.read("mine.toml")
+    assert config.object.mass == 0.1 and "mass = 0.1" in Path("mine.toml").read_text()
     assert config.palm.axis == (1.0, 0.0, 0.0) and config.name == "mine"
     assert "# Proposed by `dexctl hands add ring.urdf`" in Path("mine.toml").read_text()
     # the hand in its own frame is dex5, but for the tips, which stand for another point
@@ -52,6 +53,7 @@ def test_add_without_a_grasp(
         ("RING --out there.toml", 2, "there.toml is there already; give another --out, or --repl"),
         ("RING --object anvil", 2, "unknown object 'anvil'"),
         ("RING --object-size -1", 2, "--object-size is -1"),
+        ("RING --object-mass 0", 2, "--object-mass is 0.0; expected kilograms above 0"),
         ("RING --base arm", 2, "unknown body 'arm'; known: mount, palm"),
     ],
 )

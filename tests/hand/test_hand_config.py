@@ -70,7 +70,7 @@ def test_what_is_written_is_read(two: Path, tmp_path: Path) -> None:
         palm=PalmConfig(axis=(0, 0, -1.0), up=(1.0, 0.1, 0)),
         servos=ServoConfig(stiffness=2.5, damping={"a_j1": 0.1}, effort=1e-5),
         postures=PostureConfig(open={"a_j1": 0.1 + 0.2}),
-        object=HeldObject(centre=(0.1, 0.0, 0.05), size=0.06, shape="sphere"),
+        object=HeldObject(centre=(0.1, 0.0, 0.05), size=0.06, shape="sphere", mass=0.05),
         couplings={"a_j2": Coupling(joint="a_j1", scale=0.5)},
     )
     path = tmp_path / "mine.toml"
@@ -157,6 +157,7 @@ def test_a_posture_by_names(two: Path) -> None:
         ("[servos]\neffort = {a_j1 = nan}", HandModelError, "servos.effort.a_j1 is nan"),
         ("[servos]\neffort = {c = 1}", UnknownName, "unknown joint in servos.effort 'c'; known: a"),
         ("[object]\nsize = -1", HandModelError, "object.size is -1"),
+        ("[object]\nmass = 0", HandModelError, "object.mass is 0.0; expected a finite number"),
         ("[couplings.a_j2]\nscale = 2", HandModelError, "has the scale 2, but lacks joint"),
         ("[couplings.a_j9]\njoint = 'a_j1'", UnknownName, "joint in couplings 'a_j9'; known: a_j1"),
         ("[fingertips]\na_tip = [0, nan, 0]", HandModelError, "'a_tip' has the offset"),

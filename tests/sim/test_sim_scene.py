@@ -13,7 +13,7 @@ import pytest
 from dexctl import HandModel, hands
 from dexctl.exceptions import HandModelError, InvalidInput, SimulationError, UnknownName
 from dexctl.hand_config import HeldObject, PostureConfig
-from dexctl.sim import BatchSimulator, Scene, object_names
+from dexctl.sim import BatchSimulator, Scene, SceneConfig, object_names
 from dexctl.sim.settle_failure import SettleFailure
 
 
@@ -38,6 +38,23 @@ def test_four_fingers_hold_objects_of_their_size(
     scene = Scene.build(four_fingers, name, gravity)
     assert scene.object_width == pytest.approx(four_fingers.config.object.size)
     assert np.linalg.norm(scene.settled.qpos[scene.object_qpos][:3] - scene.grasp_centre) < 0.015
+
+
+def test_the_mass_of_objects_is_that_of_the_hands_toml(dex5: HandModel) -> None:
+    def masses(hand: HandModel, object_mass: float | None = None) -> tuple[float, float]:
+        scene = Scene.build(hand, "sphere", object_mass=object_mass)
+        config = SceneConfig(object=("sphere",), object_mass=object_mass)
+        (configured,) = config.scenes(hand)
+        assert scene.model.body("object").mass[0] == pytest.approx(scene.object_mass)
+        return scene.object_mass, configured.object_mass
+
+    assert masses(dex5) == (0.1, 0.1)
+    light = replace(dex5.config, object=replace(dex5.config.object, mass=0.05)).build()
+    assert masses(light) == (0.05, 0.05)
+    assert masses(light, object_mass=0.2) == (0.2, 0.2)
+    assert SceneConfig().with_mass(light.config) == SceneConfig(object_mass=0.05)
+    assert SceneConfig(object_mass=0.2).with_mass(light.config) == SceneConfig(object_mass=0.2)
+    assert light.digest == dex5.digest  # runs and policies name it
 
 
 def test_visual_meshes_are_not_stepped(allegro: HandModel) -> None:

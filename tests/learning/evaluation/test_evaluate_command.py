@@ -174,7 +174,7 @@ def test_conditions_take_the_place_of_the_trainings(capsys: pytest.CaptureFixtur
     for names, conditions in ((("nominal",), ("nominal",)), (("any-gravity",), ("any-gravity",))):
         assert run(*words, "--conditions", *names) == 0
         scene = json.loads(capsys.readouterr().out)["protocol"]["scene"]
-        wanted = to_plain(under(SceneConfig(object=("cube",)), *conditions))
+        wanted = to_plain(under(SceneConfig(object=("cube",), object_mass=0.1), *conditions))
         assert scene == json.loads(json.dumps(wanted))
     assert run(*words) == 0  # as it was trained, where nothing is said
     scene = json.loads(capsys.readouterr().out)["protocol"]["scene"]

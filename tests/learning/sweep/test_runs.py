@@ -15,6 +15,7 @@ import pytest
 
 pytest.importorskip("torch")
 
+from dexctl import hands
 from dexctl.cli.parsing import parse
 from dexctl.cluster import ClusterError
 from dexctl.exceptions import InvalidInput
@@ -142,7 +143,8 @@ def test_killed_and_started_again(
     (vge / "config.json").unlink()
     assert run(str(out)) == 0  # the folder knows its sweep
     assert (rl / "result.json").stat().st_mtime_ns == done  # what is finished stays
-    config = {run.name: run.config for run in prepared.runs}
+    dex5 = hands.config("dex5")
+    config = {run.name: run.config.with_mass(dex5) for run in prepared.runs}
     for folder, steps in ((rl, 800), (vge, 100)):
         assert RunFolder(folder).config() == config[folder.name]  # a run as any other
         assert load(folder).card["steps"] == steps
