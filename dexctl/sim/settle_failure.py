@@ -10,6 +10,7 @@ from dexctl.exceptions import SimulationError
 from dexctl.state import Bools, Floats
 
 _TOUCHING = 0.002  # a fingertip this near to the object counts as touching it [m]
+_INSIDE = -0.001  # deeper than soft contacts give way under a grip [m]
 
 
 class SettleAttempt(NamedTuple):
@@ -91,6 +92,13 @@ class SettleFailure(SimulationError):
             return (
                 f"out of reach: {', '.join(out)}; move grasp_centre towards them, take another "
                 "object_size, or let Scene.suggest_grasp find both"
+            )
+        deep = np.flatnonzero(best.gap < _INSIDE)  # it is too wide for the hand
+        inside = [f"{names[i]} by {-1000 * best.gap[i]:.0f} mm" for i in deep]
+        if inside:
+            return (
+                f"fingertips inside of it: {', '.join(inside)}; take a smaller object_size, or let "
+                "Scene.suggest_grasp find one"
             )
         reasons = " ".join(one.reason for one in self.attempts)
         if "more of the hand" in reasons:

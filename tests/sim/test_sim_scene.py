@@ -211,6 +211,13 @@ def test_an_object_that_is_not_held_where_another_is_gets_its_own_place(
         assert (sim.read().in_contact.sum(axis=-1) >= 3).all()
 
 
+def test_fingertips_inside_of_an_object_want_a_smaller_one() -> None:
+    with pytest.raises(SettleFailure, match="fingertips inside of it: f2_tip by 9 mm") as caught:
+        _ = Scene.build("dex5", "cube", object_size=0.3).settled
+    assert "take a smaller object_size" in str(caught.value)
+    assert "friction" not in caught.value.advice
+
+
 def test_what_settles_is_not_searched_for(dex5: HandModel, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: object, **__: object) -> None:
         raise AssertionError("no grasp is to be searched")
