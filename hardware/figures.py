@@ -34,8 +34,10 @@ _OUTCOMES = {
 }
 
 
-def in_full(outcome: str) -> str:
-    """How a run ended, for people."""
+def in_full(outcome: str, signal: str | None = None) -> str:
+    """How a run ended, for people: as wanted, unless a ``signal`` ended it."""
+    if outcome == "idle" and signal:
+        return "was ended by Ctrl-C" if signal == "SIGINT" else f"was ended by {signal}"
     return _OUTCOMES.get(outcome, outcome)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from dexctl.state import Bools, Floats
 from hardware.log import Log, limits_of
+from hardware.state_machine import Event
 
 AT_LIMIT = 0.95
 """A joint is at its torque limit from this share of it on."""
@@ -17,6 +18,8 @@ CHATTER = 2.0
 """Touches that a fingertip may make in a second before it is told; a gait makes fewer."""
 NEAR = 1.5
 """A force is near the threshold up to so many times it."""
+CLAMPED_SHARE = 0.02
+"""Of the ticks in which a set-point may be clamped before it is told."""
 LATE_SHARE = 0.05
 STALE_SHARE = 0.01
 
@@ -26,7 +29,12 @@ def findings(log: Log) -> list[str]:
     run = running(log)
     if run.sum() < 2:
         return []
-    return [*_at_torque_limit(log, run), *_chattering(log, run), *_clock(log, run)]
+    return [
+        *_at_torque_limit(log, run),
+        *_clamped(log, run),
+        *_chattering(log, run),
+        *_clock(log, run),
+    ]
 
 
 def running(log: Log) -> Bools:
@@ -104,6 +112,19 @@ def _at_torque_limit(log: Log, run: Bools) -> list[str]:
     return [
         f"At the torque limit of {span(limits)} N m: {', '.join(which)}. Blocked, the grasp "
         "too tight or the object too heavy."
+    ]
+
+
+def _clamped(log: Log, run: Bools) -> list[str]:
+    counts = log.summary.get("counts")
+    count = counts.get(Event.CLAMPED.value) if isinstance(counts, dict) else None
+    if not isinstance(count, int) or count <= CLAMPED_SHARE * run.sum():
+        return []
+    limit = limits_of(log.run, log.ticks["q"].shape[1], "speed_limit")
+    speed = "" if limit is None else f", {span(limit)} rad/s,"
+    return [
+        f"Set-points were clamped in {count} ticks: the controller asks for more than the limit of "
+        f"speed{speed} or the joints' range, so the hand lags behind what it wants."
     ]
 
 

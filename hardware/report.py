@@ -113,7 +113,7 @@ def _what_happened(log: Log) -> list[str]:
     if summary:
         cause = f" ({summary['cause']})" if summary.get("cause") else ""
         torque = summary.get("torque_message", "the torque state is not known from this log")
-        ended = in_full(str(summary.get("outcome")))
+        ended = in_full(str(summary.get("outcome")), summary.get("signal"))
         parts.append(html.paragraph(f"The run {ended}{cause}; {torque}."))
         counts = summary.get("counts")
         if isinstance(counts, dict):

@@ -34,6 +34,7 @@ class RunReport:
         outcome: where it ended: IDLE as wanted, HOLD or FAULT by `cause`. After HOLD, too, the
             torque was taken off before the run returned.
         cause: of HOLD or FAULT.
+        signal: name of the first that asked to end the run (SIGINT is Ctrl-C); none: no signal.
         torque: what is known of it now, and in words.
         events: in order; what is only counted appears once.
         counts: of every event.
@@ -46,6 +47,7 @@ class RunReport:
 
     outcome: State = State.IDLE
     cause: Event | None = None
+    signal: str | None = None
     torque: Torque = Torque.UNKNOWN
     torque_message: str = "torque state UNKNOWN: cut power"
     events: list[RunEvent] = field(default_factory=list)
@@ -62,6 +64,7 @@ class RunReport:
         return {
             "outcome": self.outcome.value,
             "cause": self.cause.value if self.cause else None,
+            "signal": self.signal,
             "torque": self.torque.value,
             "torque_message": self.torque_message,
             "ticks": self.ticks,

@@ -8,6 +8,7 @@ the torque off and says what is known of it.
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -292,7 +293,10 @@ class _Run:
         if new and self.asked_interrupts >= 2:
             self.happen(Event.INTERRUPT_AGAIN, "")
         elif new:
-            self.happen(Event.INTERRUPT, f"holding for {HOLD_SECONDS} s; once more: at once")
+            number = self.interrupts.signal
+            self.report.signal = name = signal.Signals(number).name if number else None
+            by = f"{name}: " if name else ""
+            self.happen(Event.INTERRUPT, f"{by}holding for {HOLD_SECONDS} s; once more: at once")
         now = time.monotonic()
         if self.release_at is not None:
             self.done |= now >= self.release_at

@@ -126,11 +126,13 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.count = 0
+        self.signal = 0  # the first that came; 0: none, or not from outside
         self._before: dict[int, object] = {}
 
     def add(self, number: int = 0, frame: FrameType | None = None) -> None:
         """Count one more."""
         self.count += 1
+        self.signal = self.signal or number
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():

@@ -265,7 +265,8 @@ def finish(found: RunReport, folder: Path, *, as_json: bool) -> int:
     """
     if not as_json:
         cause = f" ({found.cause.value})" if found.cause else ""
-        results().print(f"outcome: {in_full(found.outcome.value)}{cause}; {found.torque_message}")
+        ended = in_full(found.outcome.value, found.signal)
+        results().print(f"outcome: {ended}{cause}; {found.torque_message}")
     figures, written = _report(folder)
     if as_json:
         print_json({"command": "run", **found.as_dict(), "figures": figures, "folder": str(folder)})

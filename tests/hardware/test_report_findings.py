@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,27 @@ def test_how_runs_end_in_words() -> None:
     assert [in_full(o) for o in ("idle", "hold", "fault", "?")] == [
         "ended as wanted", "was held", "ended in a fault", "?",
     ]  # fmt: skip
+
+
+def test_a_run_that_a_signal_ended_says_so(tmp_path: Path) -> None:
+    assert in_full("idle", "SIGTERM") == "was ended by SIGTERM"
+    assert in_full("idle", "SIGINT") == "was ended by Ctrl-C"
+    assert in_full("fault", "SIGTERM") == "ended in a fault"
+    log = log_of(tmp_path / "a.mcap")
+    told = replace(log, summary={**log.summary, "signal": "SIGHUP"})
+    assert "The run was ended by SIGHUP; torque off." in build(told)
+
+
+def test_set_points_that_were_clamped(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "a.mcap")
+    few, many = (
+        replace(log, summary={"outcome": "idle", "counts": {"set-point clamped": count}})
+        for count in (2, 40)
+    )
+    assert findings(few) == []
+    (said,) = findings(many)
+    assert said.startswith("Set-points were clamped in 40 ticks: the controller asks for more than")
+    assert said.partition(" or ")[0] in build(many)
 
 
 def test_a_joint_at_its_torque_limit(tmp_path: Path) -> None:

@@ -307,7 +307,7 @@ with Bus(port, range(1, 16), timeout=0.2) as bus:
     hand = ServoHand(bus, model, limits=limits, control_period=0.02)
     runner = Runner(hand, Sine(model, control_period=0.02), needs_tactile=False, on_event=told)
     report = runner.run(30.0)
-print(report.outcome.value, report.torque_message, flush=True)
+print(report.outcome.value, report.torque_message, report.signal or "", flush=True)
 """
 
 
@@ -331,7 +331,7 @@ def test_signals_from_outside_end_a_run_in_order(name: str, emulator: Emulator) 
     process.send_signal(getattr(signal, name))
     out, _ = process.communicate(timeout=30)
     assert process.returncode == 0
-    assert out == "idle torque off, confirmed by all 15 servos\n"
+    assert out == f"idle torque off, confirmed by all 15 servos {name}\n"
     assert not any(emulator.state()["torque_on"])
 
 
@@ -343,7 +343,7 @@ def test_a_run_that_is_stopped_and_continued_ends_in_order(emulator: Emulator) -
     process.send_signal(signal.SIGCONT)
     process.send_signal(signal.SIGQUIT)
     out, _ = process.communicate(timeout=30)
-    assert out.endswith("torque off, confirmed by all 15 servos\n")
+    assert out.endswith("torque off, confirmed by all 15 servos SIGQUIT\n")
 
 
 @pytest.mark.parametrize("way", ["abort", "segfault", "kill"])
