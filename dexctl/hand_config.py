@@ -241,7 +241,8 @@ class HandConfig:
         try:
             config = from_plain(cls, {"name": path.stem, **values}, path.name)
         except InvalidInput as error:
-            raise InvalidInput(f"{path}: {error}") from None
+            said = str(error).removeprefix(path.name).lstrip(". ")  # the file, once
+            raise InvalidInput(f"{path}: {said}") from None
         except HandModelError as error:
             raise HandModelError(f"{path}: {error}") from None
         file = config.description

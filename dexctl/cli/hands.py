@@ -39,8 +39,9 @@ class Hands:
         numbers = ("fingers", "joints in file")
         listed = table("hand", *numbers, "files", "description", right=numbers)
         for name, about in found.items():
+            unknown = "not downloaded" if about["files"] in ("missing", "on demand") else "?"
             counts = (
-                "?" if about[key] is None else str(about[key]) for key in ("fingers", "joints")
+                unknown if about[key] is None else str(about[key]) for key in ("fingers", "joints")
             )
             listed.add_row(name, *counts, about["files"], about["description"])
         results().print(listed)

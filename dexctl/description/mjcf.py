@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dexctl.description.tree import Body, Description, Joint, Mimic
+from dexctl.description.tree import FARTHEST, Body, Description, Joint, Mimic
 from dexctl.description.xml_text import check_numbers
 from dexctl.exceptions import HandModelError
 
@@ -46,6 +46,11 @@ def compile_mjcf(path: Path) -> Any:
         model = spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).split())
+        if "XML_ELEMENT_DEPTH_EXCEEDED" in reason:
+            raise HandModelError(
+                f"{path}: bodies lie inside of each other deeper than MuJoCo reads; expected fewer "
+                "than 500"
+            ) from None
         raise HandModelError(f"{path}: MuJoCo cannot compile it: {reason}") from None
     for name, what in (("body_pos", "pos"), ("body_quat", "orientation"), ("body_mass", "mass")):
         values = getattr(model, name).reshape(model.nbody, -1)
@@ -55,6 +60,12 @@ def compile_mjcf(path: Path) -> Any:
                 f"{path}: body {model.body(wrong[0]).name!r} has the {what} "
                 f"{values[wrong[0]].tolist()}; expected finite numbers"
             )
+    far = np.flatnonzero(np.abs(model.body_pos).max(axis=1) > FARTHEST)
+    if len(far):
+        raise HandModelError(
+            f"{path}: body {model.body(far[0]).name!r} has the pos "
+            f"{model.body_pos[far[0]].tolist()}; expected metres, at most {FARTHEST:g}"
+        )
     return model
 
 

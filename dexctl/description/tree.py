@@ -11,6 +11,9 @@ import numpy as np
 from dexctl.exceptions import HandModelError
 from dexctl.state import Floats
 
+FARTHEST = 100.0
+"""A body or link further from its parent than this is no part of a hand [m]."""
+
 
 @dataclass
 class Joint:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dexctl.description.tree import Body, Description, Joint, Mimic
+from dexctl.description.tree import FARTHEST, Body, Description, Joint, Mimic
 from dexctl.description.xml_text import parse_xml
 from dexctl.exceptions import HandModelError
 from dexctl.state import Floats
@@ -126,7 +126,13 @@ class _UrdfJoint:
     def origin(self) -> tuple[Floats, Floats]:
         """Rotation and translation of the child link in the parent link, at joint position 0."""
         rotation = rotation_of(self._numbers("origin", "rpy", (0, 0, 0)))
-        return rotation, self._numbers("origin", "xyz", (0, 0, 0))
+        translation = self._numbers("origin", "xyz", (0, 0, 0))
+        if np.abs(translation).max() > FARTHEST:
+            found = " ".join(f"{one:g}" for one in translation)
+            raise self._error(
+                f"has xyz={found!r} in <origin>; expected metres, at most {FARTHEST:g}"
+            )
+        return rotation, translation
 
     def joints(self) -> list[Joint]:
         """The joint, or none for a fixed one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +33,11 @@ def check_numbers(path: Path) -> None:
     """
     try:
         root = parse_xml(path)
-    except HandModelError:
+    except HandModelError as error:
+        if "encoding" in str(error):  # which MuJoCo passes over, and reads wrongly
+            raise
         return  # MuJoCo's own reader takes more, and has the last word
-    for element in root.iter():
+    for element, body in _with_bodies(root):
         for attribute, text in element.attrib.items():
             try:
                 values = np.array([float(word) for word in text.split()])
@@ -46,10 +49,20 @@ def check_numbers(path: Path) -> None:
             elif attribute == "range" and len(values) == 2 and values[0] > values[1]:
                 wrong = "a lower limit above the upper"
             if wrong:
-                name = element.get("name") or element.get("joint") or element.get("class") or ""
-                raise HandModelError(
-                    f"{path}: <{element.tag}> {name!r} has {attribute}={text!r}: {wrong}"
-                )
+                name = element.get("name") or element.get("joint") or element.get("class")
+                which = f"<{element.tag}>"
+                which += f" {name!r}" if name else f" of the body {body!r}" if body else ""
+                raise HandModelError(f"{path}: {which} has {attribute}={text!r}: {wrong}")
+
+
+def _with_bodies(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str]]:
+    """Every element, and the name of the body that it is in; "" where there is none."""
+    waiting = [(root, "")]
+    while waiting:  # files may be nested deeper than calls can be
+        element, body = waiting.pop()
+        yield element, body
+        inside = element.get("name", body) if element.tag == "body" else body
+        waiting += [(one, inside) for one in reversed(element)]
 
 
 def root_tag(path: Path) -> str:

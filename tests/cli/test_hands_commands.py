@@ -116,6 +116,12 @@ def test_joints_of_a_urdf_are_counted(
     assert json.loads(capsys.readouterr().out)["hands"]["ring"]["joints"] == 15
     assert main(["hands"]) == 0
     assert "joints in file" in capsys.readouterr().out
+    away = HandConfig(description=Path("menagerie:a/b.xml"), fingertips=ring.fingertips)
+    monkeypatch.setenv("DEXCTL_MENAGERIE", "nowhere")
+    monkeypatch.setattr("dexctl.hands.config", lambda name: away)
+    assert main(["hands"]) == 0
+    listed = capsys.readouterr().out
+    assert "not downloaded" in listed and "?" not in listed
 
 
 def test_where_no_place_is_found_the_hand_is_drawn_and_each_fingertip_named(

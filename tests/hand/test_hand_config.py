@@ -150,7 +150,7 @@ def test_a_posture_by_names(two: Path) -> None:
     ("text", "error", "message"),
     [
         ("fingers = 3", UnknownName, "unknown setting of mine.toml 'fingers'; known: description"),
-        ("[palm]\naxis = [0, 0]", InvalidInput, "mine.toml.palm.axis is .0, 0.; expected 3 values"),
+        ("[palm]\naxis = [0, 0]", InvalidInput, "mine.toml: palm.axis is .0, 0.; expected 3 val"),
         ("[palm]\naxis = [0, 0, 0]", HandModelError, "palm.axis is .*not all zero"),
         ("[palm]\nup = [0, 0, -2]", HandModelError, "palm.up is .*along palm.axis"),
         ("[servos]\neffort = 0", HandModelError, "servos.effort is 0.* above 0"),
@@ -176,7 +176,7 @@ def test_what_is_wrong_is_named(
 def test_a_toml_without_description_and_a_missing_file(tmp_path: Path) -> None:
     path = tmp_path / "empty.toml"
     path.write_text("")
-    with pytest.raises(InvalidInput, match=r"empty.toml lacks description, fingertips"):
+    with pytest.raises(InvalidInput, match=r"empty.toml: lacks description, fingertips"):
         HandModel.load(path)
     with pytest.raises(HandModelError, match=r"none.toml: no such file"):
         HandModel.load(tmp_path / "none.toml")
