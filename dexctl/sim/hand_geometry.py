@@ -210,7 +210,10 @@ class HandGeometry:
         return torque
 
     def _find_tips(self) -> Balls:
-        """The balls that the fingertips touch with: a sphere, or the outer end of a capsule."""
+        """The balls that the fingertips touch with: a sphere, or the outer end of a capsule.
+
+        Where there is neither, as on a mesh, the ball that the hand's toml says is at the tip.
+        """
         model, hand = self._model, self.hand
         links, centres, radii = [], [], []
         for finger, name in enumerate(hand.fingertip_bodies):
@@ -220,10 +223,14 @@ class HandGeometry:
                     away = float(np.linalg.norm(centre - hand.fingertip_offsets[finger]))
                     best = min(best, (away, centre, radius), key=lambda one: one[0])
             if not np.isfinite(best[0]):
-                raise InvalidInput(
-                    f"{hand.name}: the fingertip {hand.fingertip_names[finger]!r} is neither a "
-                    "sphere nor a capsule; planning without physics needs one"
-                )
+                radius = hand.config.fingertip_radius
+                if not radius:
+                    raise InvalidInput(
+                        f"{hand.name}: the fingertip {hand.fingertip_names[finger]!r} is neither a "
+                        "sphere nor a capsule, and planning without physics needs one; write "
+                        "fingertip_radius [m] of the ball at its tip point into the hand's toml"
+                    )
+                best = (0.0, hand.fingertip_offsets[finger], radius)
             position, rotation = self._body_pose[body]
             links.append(self._body_link[body])
             centres.append(position + rotation @ best[1])

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
 
+from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel, random_configurations
 from dexctl.sim import Scene
 from dexctl.sim.hand_geometry import HandGeometry
@@ -72,3 +76,21 @@ def test_joints_carry_the_weight_of_the_links(scene: Scene) -> None:
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(own, data.qfrc_bias[scene.qvel_columns], atol=1e-9)
     model.opt.gravity[:] = scene.gravity
+
+
+def test_a_fingertip_that_is_no_ball_is_the_ball_of_the_toml(
+    dex5: HandModel, tmp_path: Path
+) -> None:
+    ball, box = 'class="dex5_tip"/>', 'class="dex5_tip" type="box" size="0.01 0.01 0.01"/>'
+    assert dex5.path.read_text().count(ball) == 5
+    boxes = tmp_path / "boxes.xml"
+    boxes.write_text(dex5.path.read_text().replace(ball, box))
+    hand = replace(dex5.config, description=boxes).build()
+    geometry = HandGeometry(Scene.build(hand, "cube"))
+    q = random_configurations(hand, 3, 1)
+    tips = geometry.poses(q).centres(geometry.tips)
+    np.testing.assert_allclose(tips, hand.fingertip_positions(q), atol=1e-12)
+    np.testing.assert_allclose(geometry.tips.radius, 0.014)
+    bare = replace(hand.config, fingertip_radius=0.0).build()
+    with pytest.raises(InvalidInput, match=r"'f1_tip' is neither.*write fingertip_radius \[m\]"):
+        HandGeometry(Scene.build(bare, "cube"))
