@@ -92,7 +92,8 @@ def learned(
         hand: the hand.
         control_period: must be the one that the policy was trained with [s]; None takes it.
         policy: what `load` takes; None is the first of `names` that was trained on a hand of this
-            name, one for several objects before those for single ones.
+            name: one for several objects before those for single ones, and among these the one for
+            the object that the hand's toml names.
         axis: see `load`.
 
     Raises:
@@ -106,7 +107,8 @@ def learned(
                 f"no learned policy comes with dexctl for the hand {hand.name!r}; there is "
                 f"one for {', '.join(known)}, and `dexctl train` makes others"
             )
-        own.sort(key=lambda name: not name.endswith("-easy"))
+        suits = f"-{hand.config.object.shape}"
+        own.sort(key=lambda name: (not name.endswith("-easy"), not name.endswith(suits)))
         policy = own[0]
     found = load(policy, hand=hand, axis=axis)
     if control_period is not None and not np.isclose(control_period, found.control_period):
