@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from dexctl.cli.output import notes, progress
 from dexctl.exceptions import SimulationError
 from dexctl.hand_config import HandConfig
 from dexctl.validation import check_numbers, check_whole
@@ -26,19 +27,21 @@ _PALM_DOWN = 0.5  # what a turn palm down counts beside one palm up
 class Turning:
     """How suggested grasps are tried with the coordinated gait: all in short, the best longer."""
 
-    grasps: int = 8
+    grasps: int = 5
     """Of each object; 0: none is tried, and the one of the highest score is taken."""
     screening: float = 8.0
     """Simulated, each trial of every grasp, palm up [s]."""
+    screening_trials: int = 4
+    """Of every grasp there."""
     finalists: int = 4
     """Of all objects together, which are tried again palm up and palm down."""
     seconds: float = 40.0
     """Simulated, each trial of these [s]."""
     trials: int = 8
-    """Of each grasp, each way up."""
+    """Of each of these, each way up."""
 
     def __post_init__(self) -> None:
-        check_whole(self, grasps=0, finalists=1, trials=1)
+        check_whole(self, grasps=0, finalists=1, trials=1, screening_trials=1)
         check_numbers(self, positive=("screening", "seconds"))
 
 
@@ -133,7 +136,7 @@ def turned(
             gait = CoordinatedGait(hand, control_period=scene.control_period)
             sim.reset(seed)
             gait.reset(seed)
-            trace = run(gait, sim, seconds)
+            trace = run(gait, sim, seconds, until_dropped=True)
         away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
         stays = trace.held[-1] & (away.max(axis=0) < _STAYS)  # does not lie on the palm
         held[palm] = float(stays.mean())
@@ -152,19 +155,27 @@ def chosen(
 ) -> tuple[SuggestedGrasp, Turned | None]:
     """The grasp that the gait turns furthest; without trials, or where none turns, the first."""
 
-    def trial(grasp: SuggestedGrasp, palms: Sequence[str], seconds: float) -> Turned:
+    def trial(grasp: SuggestedGrasp, palms: Sequence[str], trials: int, seconds: float) -> Turned:
         found = grasp.applied(config, hand.joint_names)
-        return turned(found, grasp.object, palms, how.trials, seconds, seed)
+        made = turned(found, grasp.object, palms, trials, seconds, seed)
+        bar.update(task, advance=len(palms) * seconds)
+        return made
 
     able = [one for one in grasps if len(one.fingers) >= LEAST_FINGERS] if how.grasps else []
     if not able:
         return grasps[0], None
     say(f"turning {len(able)} grasps with the coordinated gait")
-    first = [trial(one, ("up",), how.screening).value for one in able]
     best: tuple[SuggestedGrasp, Turned | None] = grasps[0], None
-    for i in np.argsort(first, kind="stable")[::-1][: how.finalists]:
-        found = trial(able[i], ("up", "down"), how.seconds)
-        say(f"{able[i].note}; {found.note}")
-        if found.value > (best[1].value if best[1] else 0.0):
-            best = able[i], found
+    with progress(notes()) as bar:
+        finals = 2 * how.seconds * min(how.finalists, len(able))
+        task = bar.add_task("turning", total=how.screening * len(able) + finals)
+        first = [trial(one, ("up",), how.screening_trials, how.screening).value for one in able]
+        for i in np.argsort(first, kind="stable")[::-1][: how.finalists]:
+            if not first[i]:  # let go, or not turned at all: no finalist
+                bar.update(task, advance=2 * how.seconds)
+                continue
+            found = trial(able[i], ("up", "down"), how.trials, how.seconds)
+            say(f"{able[i].note}; {found.note}")
+            if found.value > (best[1].value if best[1] else 0.0):
+                best = able[i], found
     return best

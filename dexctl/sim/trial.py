@@ -107,6 +107,7 @@ def run(
     axis: str | ArrayLike = "z",
     observers: Sequence[Observer] = (),
     drop_distance: float = DROP_DISTANCE,
+    until_dropped: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Trace:
     """Run ``controller`` on ``sim``, from where both are, for ``seconds`` of simulated time.
@@ -123,6 +124,7 @@ def run(
         observers: each is called with the physics at the start and after each step (a
             `Recorder`, for one).
         drop_distance: how far the object's centre may go from where it is at the start [m].
+        until_dropped: end as soon as no object is held any more.
         progress: called after each step with the simulated time so far [s].
 
     Raises:
@@ -158,6 +160,7 @@ def run(
     other, diverged = [physics.other_contact], [physics.diverged]
     found: list[dict[str, np.ndarray]] = []
     act_seconds = np.zeros(steps)
+    held = np.ones(physics.batch_shape, bool)
     for observe in observers:
         observe(physics)
     for i in range(steps):
@@ -175,6 +178,12 @@ def run(
             observe(physics)
         if progress is not None:
             progress((i + 1) * sim.control_period)
+        if until_dropped:
+            now, first = (np.asarray(states[k].object_position) for k in (-1, 0))
+            held &= (np.linalg.norm(now - first, axis=-1) <= drop_distance) & ~physics.diverged
+            if not held.any():
+                act_seconds = act_seconds[: i + 1]
+                break
     time = np.arange(len(states), dtype=float) * float(sim.control_period)
     return _trace(time, states, other, diverged, found, act_seconds, drop_distance, about)
 

@@ -52,6 +52,7 @@ def test_the_grasp_that_turns_furthest_is_chosen(
 ) -> None:
     """Of five grasps, one of three fingers, two get past the screening; the first of them turns."""
     asked: list[tuple[float, tuple[str, ...], float]] = []
+    counts: list[int] = []
     rotation = {0.04: 0.1, 0.05: 0.8, 0.06: 0.9, 0.07: 0.3}
 
     def trial(
@@ -65,6 +66,7 @@ def test_the_grasp_that_turns_furthest_is_chosen(
         size = config.object.size
         assert size is not None
         asked.append((size, tuple(palms), seconds))
+        counts.append(trials)
         held = 0.5 if size == 0.06 else 1.0
         turns = dict.fromkeys(palms, rotation[size] * seconds)
         shares = dict.fromkeys(palms, held if len(palms) > 1 else 1.0)
@@ -72,13 +74,14 @@ def test_the_grasp_that_turns_furthest_is_chosen(
 
     monkeypatch.setattr(hands_grasp, "turned", trial)
     grasps = [grasp_of(dex5, size) for size in rotation] + [grasp_of(dex5, 0.08, fingers=3)]
-    how = Turning(finalists=2, screening=5.0, seconds=20.0)
+    how = Turning(finalists=2, screening=5.0, screening_trials=3, seconds=20.0)
     said: list[str] = []
     best, found = chosen(dex5, dex5.config, grasps, how, seed=0, say=said.append)
     assert [one for one in asked if one[1] == ("up",)] == [(s, ("up",), 5.0) for s in rotation]
     final = [one for one in asked if one[1] == ("up", "down")]
     assert final == [(0.06, ("up", "down"), 20.0), (0.05, ("up", "down"), 20.0)]
     assert best.size == 0.05 and found is not None and found.held["down"] == 1.0
+    assert counts == [3] * 4 + [8] * 2
     assert said[0] == "turning 4 grasps with the coordinated gait" and len(said) == 3
     # without trials, and where no grasp has a finger to spare, the first is taken
     for few, settings in ((grasps, replace(how, grasps=0)), (grasps[4:], how)):

@@ -83,6 +83,22 @@ def test_a_dropped_object() -> None:
     assert (trace.rotation[last:, 0] == trace.rotation[last, 0]).all()
 
 
+def test_trials_may_end_when_nothing_is_held_any_more() -> None:
+    scene = Scene.build("dex5", "cylinder", "down")
+    sim = BatchSimulator(scene, 2)
+
+    def ended(*friction: float) -> float:
+        sim.reset(seed=0)
+        sim.set_parameters(friction=np.array(friction))
+        trace = run(Hold(scene.hand), sim, 1.0, until_dropped=True)
+        assert len(trace.act_seconds) == len(trace.time) - 1
+        assert trace.held[-2].any()
+        return float(trace.time[-1])
+
+    assert ended(0.0, 0.0) <= 0.5
+    assert ended(0.0, 1.0) == pytest.approx(1.0)
+
+
 def test_what_does_not_fit() -> None:
     scene = Scene.build("dex5", "cube")
     sim = BatchSimulator(scene)
