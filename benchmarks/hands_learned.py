@@ -25,6 +25,7 @@ from common import (
     write,
 )
 
+from dexctl import hands
 from dexctl.exceptions import HandModelError, InvalidInput
 from dexctl.settings import changed
 from learning import policies
@@ -98,7 +99,8 @@ def measure(policy: Subject, who: Subject, chosen: str, given: Options) -> dict[
         seed=given.seed,
         threads=1,
     )
-    mass = protocol.scene.object_mass
+    mass = protocol.scene.with_mass(hands.config(policy.hand)).object_mass
+    assert mass is not None
     drawn = {"mass_range": ((1.0 - condition.mass) * mass, (1.0 + condition.mass) * mass)}
     protocol = changed(protocol, {**condition.changes, **(drawn if condition.mass else {})})
     found = evaluate(who, protocol)
