@@ -179,19 +179,30 @@ def trials(
 
 
 def earlier(name: str, given: Settings, fixed: Sequence[str] = FIXED) -> list[dict[str, Any]]:
-    """Rows that an interrupted run has left, where it had the same ``fixed`` settings.
+    """Rows that an interrupted run has left, none without ``--resume``.
 
     Each has the settings that it was measured with (``measured_with``), as `write` wants them.
+
+    Raises:
+        InvalidInput: the result is damaged, or was measured with other ``fixed`` settings: going
+            on with none of its rows would write over them.
     """
     path = given.out / f"{name}.json"
     if not (given.resume and path.is_file()):
         return []
     found = read(path)
     try:
-        same = all(found["settings"][key] == getattr(given, key) for key in fixed)
-        return found["trials"] if same else []
+        rows, had = found["trials"], {key: found["settings"][key] for key in fixed}
     except (LookupError, TypeError) as error:
         raise InvalidInput(f"{path} is no result to go on with: {error}") from error
+    other = [key for key in fixed if had[key] != getattr(given, key)]
+    if other:
+        wanted = " ".join(f"--{key.replace('_', '-')} {had[key]}" for key in other)
+        raise InvalidInput(
+            f"{path} cannot be gone on with, it was measured with {wanted}; expected these, or no "
+            "--resume, which writes over it"
+        )
+    return rows
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -7,9 +7,12 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+from dexctl.exceptions import InvalidInput
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "benchmarks"
@@ -259,6 +262,18 @@ def test_rows_keep_the_settings_that_they_were_measured_with(
     rows = [*common.earlier("some", given[0]), {"row": 3}]
     common.write("some", given[0], [], trials=rows, say=False)
     assert objects_of_rows() == [None, None, None, "cube"]
+
+
+def test_other_settings_do_not_write_over_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+    common, ranges = (importlib.import_module(name) for name in ("common", "ranges"))
+    common.write("some", ranges.Options(out=tmp_path, trials=3), [], trials=[{}], say=False)
+    given = ranges.Options(out=tmp_path, trials=4, resume=True)
+    with pytest.raises(InvalidInput, match="was measured with --trials 3; expected these, or no"):
+        common.earlier("some", given)
+    assert len(common.earlier("some", replace(given, trials=3))) == 1
 
 
 def test_results_are_there() -> None:
