@@ -20,7 +20,7 @@ from learning.evaluation.protocol import Protocol
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from learning.evaluation import Evaluation
+    from learning.evaluation import Evaluation, Subject
     from learning.evaluation.transfer import Trained, Transfer
 
 
@@ -99,7 +99,7 @@ class Evaluate:
                 notes().print(f"dexctl: {remark}")
         own = tuple(one.object for one in trained if self.transfer)
         replace(protocol.scene, object=(*own, *protocol.scene.object)).check_objects()
-        self._check_starts(own)
+        self._check_starts(trained[0].subject, own)
         folder = None if self.out is None else make_folder(self.out)
         found, matrix = self._evaluate(trained, folder)
         result = {"command": "evaluate", "conditions": list(self.conditions)}
@@ -114,17 +114,18 @@ class Evaluate:
             print_evaluations(self.policy or "", protocol, found)
         return 0
 
-    def _check_starts(self, own: Sequence[str]) -> None:
+    def _check_starts(self, who: Subject, own: Sequence[str]) -> None:
         """Say where the grasps of a file do not hold by themselves, object by object."""
         scene = self.protocol.scene
         if scene.initial_states is None:
             return
+        hand = who.acting(self.protocol).hand
         from dexctl.sim import Simulation
         from learning.starts.check import remark_on_starts
 
         for name in dict.fromkeys((*own, *scene.object)):
-            count = self.protocol.episodes
-            with Simulation(replace(scene, object=(name,)), count, self.protocol.seed) as made:
+            config = replace(scene, object=(name,))
+            with Simulation(config, self.protocol.episodes, self.protocol.seed, hand=hand) as made:
                 remark_on_starts(made, lambda said: notes().print(f"dexctl: {said}"))
 
     def _trained(self, hand: str | None) -> list[Trained]:

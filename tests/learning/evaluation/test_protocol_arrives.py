@@ -19,6 +19,7 @@ from dexctl.settings import changed, get, paths
 from learning.cli.evaluate import Evaluate
 from learning.cli.inspect import Inspect
 from learning.evaluation import Evaluation, Protocol, rollout
+from learning.starts import check
 
 WHO = {Evaluate: "policy", Inspect: "subject"}
 OTHERS: dict[str, Any] = {
@@ -82,6 +83,8 @@ def used(monkeypatch: pytest.MonkeyPatch, dex5: dexctl.HandModel) -> dict[str, A
     monkeypatch.setattr(dexctl.sim, "run", run)
     module = sys.modules[rollout.__module__]
     monkeypatch.setattr(module, "Judged", lambda simulation, task: None)
+    # nothing is simulated here, so no start can be held for half a second either
+    monkeypatch.setattr(check, "remark_on_starts", lambda simulation, remark: None)
     monkeypatch.setattr(Evaluation, "of", of)
     monkeypatch.setattr(hands, "load", lambda name: dex5)
     return found
