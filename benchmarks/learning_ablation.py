@@ -19,8 +19,6 @@ from learning.config import TrainConfig, recipe
 from learning.evaluation import evaluate, open_subject
 from learning.training.run_folder import RunFolder
 
-OBJECT = "cylinder"
-
 
 @dataclass(frozen=True)
 class Variant:
@@ -95,11 +93,19 @@ class Ablation:
         name: of the script.
         title: of the table.
         variants: by name.
+        task: settings of all of them: what is turned, and who guides.
+        about: the same for people.
+        guided: share of the steps that are guided.
     """
 
     name: str
     title: str
     variants: Mapping[str, Variant]
+    task: Mapping[str, Any] = field(
+        default_factory=lambda: {"object": "cylinder", "controllers": ("coordinated",)}
+    )
+    about: str = "cylinder"
+    guided: float = 1.0
 
     def config(self, name: str, seed: int, given: Options) -> TrainConfig:
         """Everything that the training of a variant is."""
@@ -107,10 +113,9 @@ class Ablation:
         return changed(
             recipe(variant.recipe, variant.method),
             {
-                "object": OBJECT,
+                **self.task,
                 "threads": 1,
-                "hard_stop": given.steps,
-                "controllers": ("coordinated",),
+                "hard_stop": max(round(self.guided * given.steps), 1),
                 "steps": given.steps,
                 "num_envs": given.num_envs,
                 "seed": seed,
@@ -163,9 +168,10 @@ class Ablation:
     def save(self, trials: list[dict[str, Any]], given: Options, *, say: bool) -> None:
         """Write the result with the rows so far."""
         seeds = ", ".join(map(str, sorted({row["training_seed"] for row in trials})))
+        guided = "all" if self.guided == 1.0 else f"{100 * self.guided:g} %"
         table = {
-            "title": f"{self.title}: {OBJECT}, {given.steps:,} steps, all guided, seed {seeds}; "
-            f"the policy alone in {given.trials} episodes of {given.seconds:g} s",
+            "title": f"{self.title}: {self.about}, {given.steps:,} steps, {guided} guided, "
+            f"seed {seeds}; the policy alone in {given.trials} episodes of {given.seconds:g} s",
             "header": ["", "rotation [rad]", "full turn", "dropped", "return"],
             "rows": list(self.lines(trials)),
         }

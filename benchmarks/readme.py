@@ -46,6 +46,7 @@ HEADINGS = {
     "ablation": "Parts of the coordinated gait",
     "learning_ablation": "Parts of the recipe fast",
     "feedback": "What a policy has to feel",
+    "feedback_x": "What a policy has to feel about x",
     "commanded_speed": "Commanded speeds",
     "planning": "Planning",
     "starts": "Starts of episodes",

@@ -50,6 +50,10 @@ RUNS: dict[str, list[str]] = {
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
         *("--variants", "joints", "touch_before"),
     ],
+    "feedback_x.py": [
+        *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
+        *("--variants", "joints"),
+    ],
     "commanded_speed.py": [
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--speeds", "0.5"),
     ],
@@ -120,13 +124,13 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     if script in (
         "learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py",
-        "goal_policies.py", "feedback.py", "commanded_speed.py",
+        "goal_policies.py", "feedback.py", "feedback_x.py", "commanded_speed.py",
     ):  # fmt: skip
         pytest.importorskip("torch", reason="needs the extra 'learning'")
     if script in ("learner.py", "algorithms.py"):
         pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
     if script in (
-        "learning_ablation.py", "feedback.py", "starts.py", "goal_policies.py",
+        "learning_ablation.py", "feedback.py", "feedback_x.py", "starts.py", "goal_policies.py",
         "commanded_speed.py",
     ):  # fmt: skip
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]
