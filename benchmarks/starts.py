@@ -2,7 +2,7 @@
 
 PPO from a fixed start, sampled grasps, explored states, under growing gravity, and from the paths
 of a tree, without and with imitation; and this library's quicker learners from the same starts: SAC
-alone, and guided by controllers. Each policy is then alone, from the settled grasp and from grasps
+alone, and guided by controllers or by a gait that follows a tree. Each policy is then alone, from the settled grasp and from grasps
 of a tree that no training has seen. A training that is there is not done again, or goes on.
 """
 
@@ -97,12 +97,20 @@ class Task:
 
 @dataclass(frozen=True)
 class Method:
-    """One way to train."""
+    """One way to train.
+
+    Attributes:
+        title: for people.
+        changes: settings of the training.
+        algorithm, method: of the training.
+        by_tree: a gait that follows a tree guides, in place of the task's own guides.
+    """
 
     title: str
     changes: Mapping[str, Any] = field(default_factory=dict)
     algorithm: str = "ppo"
     method: str = "rl"
+    by_tree: bool = False
 
 
 _FULL_CRITIC = ("object_position", "object_quaternion", "object_velocity", "fingertip_force")
@@ -141,6 +149,7 @@ TASKS = {
 }  # fmt: skip
 METHODS = {
     "guides": Method("guide alone"),
+    "tree": Method("gait that follows a tree, alone"),
     "policy": Method("one policy, any way up"),
     "fi": Method("PPO, fixed start (FI)"),
     "sgs": Method("PPO, sampled grasps (SGS)", {"start_from": "grasps"}),
@@ -154,6 +163,11 @@ METHODS = {
     "rl_paths": Method("SAC, paths of a tree", {"start_from": "paths"}, "sac"),
     "vge": Method("guided (VGE), fixed start", {}, "sac", "vge"),
     "vge_paths": Method("guided (VGE), paths of a tree", {"start_from": "paths"}, "sac", "vge"),
+    "vge_tree": Method("guided by a tree (VGE), fixed start", {}, "sac", "vge", by_tree=True),
+    "vge_tree_paths": Method(
+        "guided by a tree (VGE), paths of a tree", {"start_from": "paths"}, "sac", "vge",
+        by_tree=True,
+    ),
 }  # fmt: skip
 
 
@@ -188,8 +202,10 @@ class Options(Settings):
     """Folder of the trainings, TASK-METHOD-SEED; one that is there is taken as it is."""
 
 
-def config(task: Task, method: Method, given: Options, seed: int = 0) -> TrainConfig:
-    """Everything that a training with this seed is."""
+def config(
+    task: Task, method: Method, given: Options, seed: int = 0, by: tuple[str, ...] = ()
+) -> TrainConfig:
+    """Everything that a training with this seed is, guided by the task's own guides or ``by``."""
     steps = given.ppo_steps if method.algorithm == "ppo" else given.steps
     base = recipe("fast", method.method)
     own: dict[str, Any] = {}
@@ -204,7 +220,7 @@ def config(task: Task, method: Method, given: Options, seed: int = 0) -> TrainCo
             "algorithm": method.algorithm,
             **task.protocol,
             **task.training,
-            "controllers": task.guides,
+            "controllers": by or task.guides,
             "hard_stop": max(int(0.4 * steps), 1),
             "steps": steps,
             "seed": seed,
@@ -231,6 +247,20 @@ def trained(folder: Path, wanted: TrainConfig, given: Options) -> TrainConfig | 
     return RunFolder(folder).config()
 
 
+def guiding_tree(name: str, task: Task, given: Options, seed: int) -> Path:
+    """File of a tree that turns the object once, to be followed."""
+    path = given.runs / f"tree-{name}-{seed}.npz"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (scene,) = changed(Protocol(), task.protocol).scene.scenes()
+        tree = grow(
+            scene, task.kinematic, nodes=max(given.tree_nodes, 2), until_rotation=FULL_TURN,
+            axis=unit_axis(task.axis), seed=seed, stability=task.stability,
+        )  # fmt: skip
+        tree.save(path)
+    return path
+
+
 def held_out(name: str, task: Task, given: Options) -> Path:
     """File of grasps on the paths of another tree."""
     path = given.runs / f"held-out-{name}-{given.seed + _HELD_OUT}.npz"
@@ -245,16 +275,19 @@ def held_out(name: str, task: Task, given: Options) -> Path:
     return path
 
 
-def guides(name: str, given: Options) -> list[dict[str, Any]]:
-    """The controllers that guide a task, each alone: their rows."""
+def guides(name: str, method: str, given: Options) -> list[dict[str, Any]]:
+    """The controllers that guide a task, or one that follows a tree, each alone: their rows."""
     task, rows = TASKS[name], []
-    for guide in task.guides:
+    own = task.guides
+    if method == "tree":
+        own = (f"planned:{guiding_tree(name, task, given, given.seed)}",)
+    for guide in own:
         subject = open_subject(guide, hand=task.hand)
         protocol = subject.protocol(
             **task.protocol, episodes=given.trials, seconds=given.seconds,
             seed=given.seed + _HELD_OUT,
         )  # fmt: skip
-        about = {"task": name, "method": "guides", "guides": [guide], "steps": 0}
+        about = {"task": name, "method": method, "guides": [guide.partition(":")[0]], "steps": 0}
         rows.append({**about, "from": "settled", **outcome(evaluate(subject, protocol))})
     return rows
 
@@ -303,13 +336,15 @@ def both_starts(
 
 def measure(name: str, method: str, seed: int | None, given: Options) -> list[dict[str, Any]]:
     """One training: its rows, none where it is not there; no seed: nothing is trained."""
-    if method == "guides":
-        return guides(name, given)
+    if method in ("guides", "tree"):
+        return guides(name, method, given)
     if seed is None:
         return shipped(name, given)
     task = TASKS[name]
-    folder = given.runs / f"{name}-{method}-{seed}"
-    found = trained(folder, config(task, METHODS[method], given, seed), given)
+    folder, how, by = given.runs / f"{name}-{method}-{seed}", METHODS[method], ()
+    if how.by_tree and not (given.trained_only or RunFolder.is_run(folder)):
+        by = (f"planned:{guiding_tree(name, task, given, seed).resolve()}",)
+    found = trained(folder, config(task, how, given, seed, by), given)
     if found is None:
         return []
     subject = open_subject(str(folder))
@@ -320,7 +355,9 @@ def measure(name: str, method: str, seed: int | None, given: Options) -> list[di
     about = {
         "task": name, "method": method, "training_seed": found.seed, "steps": int(last["step"]),
         "training_s": whole(last["seconds"]), "training_cpu_s": whole(last.get("cpu_seconds")),
-        "start_from": start, "algorithm": found.algorithm, "guides": list(found.guides),
+        "start_from": start, "algorithm": found.algorithm, "guides": [
+            guide.partition(":")[0] if how.by_tree else guide for guide in found.guides
+        ],
         "hard_stop": found.guidance.hard_stop if found.guides else None,
     }  # fmt: skip
     return both_starts(subject, name, about, given)
@@ -428,6 +465,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         )
         for fixed, paths in (
             ("fi", "rxr"), ("fi", "rxr_ipt"), ("rl", "rl_paths"), ("vge", "vge_paths"),
+            ("vge_tree", "vge_tree_paths"),
         ):  # fmt: skip
             theirs, ours = (own.get(METHODS[method].title) for method in (fixed, paths))
             if theirs is None or ours is None:
@@ -468,7 +506,7 @@ def main() -> None:
     rows = earlier("starts", given)
     done = {key(row) for row in rows}
     for name, method in product(given.tasks, given.methods):
-        alone = method in ("guides", "policy")
+        alone = method in ("guides", "tree", "policy")
         for seed in (None,) if alone else given.seeds:
             if (name, method, given.policy if method == "policy" else None, seed) in done:
                 continue
