@@ -2,8 +2,9 @@
 
 PPO from a fixed start, sampled grasps, explored states, under growing gravity, and from the paths
 of a tree, without and with imitation; and this library's quicker learners from the same starts: SAC
-alone, and guided by controllers or by a gait that follows a tree. Each policy is then alone, from the settled grasp and from grasps
-of a tree that no training has seen. A training that is there is not done again, or goes on.
+alone, and guided by controllers or by a gait that follows a tree. Each policy is then alone, from
+the settled grasp and from grasps of a tree that no training has seen. A training that is there is
+not done again, or goes on.
 """
 
 from __future__ import annotations
