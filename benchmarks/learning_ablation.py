@@ -14,6 +14,7 @@ from typing import Any
 
 from common import FULL_TURN, Settings, measure_with_seeds, over_seeds, settings, share, write
 
+from dexctl import hands
 from dexctl.settings import changed, get, to_plain
 from learning.config import TrainConfig, recipe
 from learning.evaluation import evaluate, open_subject
@@ -110,7 +111,7 @@ class Ablation:
     def config(self, name: str, seed: int, given: Options) -> TrainConfig:
         """Everything that the training of a variant is."""
         variant, thesis = self.variants[name], TrainConfig()
-        return changed(
+        found = changed(
             recipe(variant.recipe, variant.method),
             {
                 **self.task,
@@ -124,6 +125,7 @@ class Ablation:
                 **variant.changes,
             },
         )
+        return found.with_mass(hands.config(found.env.scene.hand))  # as a run keeps it
 
     def measure(self, name: str, seed: int, given: Options) -> dict[str, Any]:
         """Train a variant, or go on; evaluate its policy."""

@@ -199,6 +199,21 @@ def test_trainings_of_another_seed_stand_beside_the_first(tmp_path: Path) -> Non
     assert figure["measured"].startswith("interquartile mean of 2 seeds' medians")
 
 
+def test_a_training_that_is_there_is_gone_on_with(tmp_path: Path) -> None:
+    """Its configuration says the object's mass, which the one that was asked for did not."""
+    pytest.importorskip("torch", reason="needs the extra 'learning'")
+    arguments = [
+        *(*SHORT, "--steps", "200", "--num-envs", "4", "--jobs", "1", "--variants", "joints"),
+        *("--out", tmp_path, "--runs", tmp_path / "runs"),
+    ]
+    for _ in range(2):  # an interrupted one has the run, but not yet its row
+        done = run("feedback_x.py", *arguments)
+        assert done.returncode == 0, done.stderr
+        (row,) = json.loads((tmp_path / "feedback_x.json").read_text())["trials"]
+        assert row["steps"] >= 200
+        (tmp_path / "feedback_x.json").unlink()
+
+
 def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
     done = run("hands_turning.py", *SHORT, "--out", tmp_path, "--folder", tmp_path)
     assert done.returncode == 0, done.stderr
