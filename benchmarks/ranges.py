@@ -31,6 +31,8 @@ from learning.evaluation import Protocol, evaluate, open_subject
 # setting: what stands under the axis, its factor, and the levels
 VARIED: dict[str, tuple[str, float, tuple[float, ...]]] = {
     "friction_range": ("friction", 1.0, (0.4, 0.6, 0.8, 1.0, 1.4)),
+    "tip_friction_range": ("friction of fingertips [%]", 1e2, (0.4, 0.6, 0.8, 1.0, 1.4)),
+    "link_friction_range": ("friction of links [%]", 1e2, (0.2, 0.6, 1.0, 1.4)),
     "mass_range": ("mass [g]", 1e3, (0.05, 0.1, 0.2, 0.3, 0.4)),
     "size_range": ("width [%]", 1e2, (0.9, 0.95, 1.0, 1.05, 1.1)),
     "centre_of_mass": ("centre of mass off by up to [mm]", 1e3, (0.0, 0.005, 0.01, 0.02)),

@@ -19,10 +19,38 @@ Row = Mapping[str, Floats]
 
 
 def _friction(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
-    # MuJoCo takes the larger coefficient of the two geoms, so the fingertips' is set as well
-    tips = [model.body(name).id for name in scene.hand.fingertip_bodies]
-    bodies = [model.body(scene.object_body).id, *tips]
-    model.geom_friction[np.isin(model.geom_bodyid, bodies), 0] = row["friction"]
+    body = model.geom_bodyid
+    sliding = scene.model.geom_friction[:, 0].copy()
+    own = body == model.body(scene.object_body).id
+    tips = [body == model.body(name).id for name in scene.hand.fingertip_bodies]
+    if "friction" in row:
+        # MuJoCo takes the larger coefficient of the two geoms, so the fingertips' is set as well
+        sliding[own | np.any(tips, axis=0)] = row["friction"]
+    if "tip_friction" in row or "link_friction" in row:
+        share = np.full(len(sliding), row.get("link_friction", 1.0))
+        for tip, of_tip in zip(tips, row.get("tip_friction", np.ones(len(tips))), strict=True):
+            share[tip] = of_tip
+        sliding = _shared(scene, model, sliding, own, share)
+    model.geom_friction[:, 0] = sliding
+
+
+def _shared(
+    scene: Scene, model: mujoco.MjModel, sliding: Floats, own: Bools, share: Floats
+) -> Floats:
+    """Coefficients of all geoms by which each meets the object with its share of what it had.
+
+    The object gets the least of what is wanted, if that is less than it has. As the larger of two
+    counts, each other geom then decides by its own; one that wants no more stays as it is.
+    """
+    priority, objects = scene.model.geom_priority, sliding[own].max()
+    usual = priority[own].max()
+    first, last = priority > usual, priority < usual  # whose coefficient counts alone, or never
+    met = np.where(first, sliding, np.where(last, objects, np.maximum(sliding, objects)))
+    wanted = met * share
+    least = min(wanted[~own].min(), objects)
+    model.geom_priority[:] = np.maximum(priority, usual)  # or it would never count here either
+    found = np.where(first | (wanted > least), wanted, np.minimum(sliding, least))
+    return np.where(own, least, found)
 
 
 def _object(scene: Scene, model: mujoco.MjModel, row: Row) -> None:
@@ -85,7 +113,7 @@ class Parameter(NamedTuple):
 
     Attributes:
         apply: puts it into a model, with whatever else of the same thing was set.
-        per: "joint", "axis" (three coordinates), or "" for one number.
+        per: "joint", "finger", "axis" (three coordinates), or "" for one number.
         least: what its numbers are not below; not at either where ``positive``.
         positive: see there.
         constants: whether MuJoCo derives constants from it.
@@ -100,6 +128,8 @@ class Parameter(NamedTuple):
 
 PARAMETERS: dict[str, Parameter] = {
     "friction": Parameter(_friction),
+    "tip_friction": Parameter(_friction, per="finger"),
+    "link_friction": Parameter(_friction),
     "object_mass": Parameter(_object, positive=True, constants=True),
     "object_size": Parameter(_object, positive=True, constants=True),
     "centre_of_mass": Parameter(_object, per="axis", least=-np.inf),
@@ -115,7 +145,7 @@ PARAMETERS: dict[str, Parameter] = {
 def set_on(scene: Scene, parameters: Mapping[str, ArrayLike]) -> None:
     """Give a scene itself other parameters, those of `PARAMETERS`, before it is simulated.
 
-    Values are numbers, or ``(1, d)`` for those that are of joints.
+    Values are numbers, or ``(1, d)`` for those that are of joints, ``(1, m)`` of fingers.
 
     Raises:
         UnknownName, InvalidInput: no such parameter, or a value out of range.
@@ -144,7 +174,7 @@ class ParameterSet:
 
     @property
     def values(self) -> dict[str, Floats]:
-        """Parameters that were set, ``(N,)``, ``(N, 3)`` or ``(N, d)``; NaN: as the scene."""
+        """Parameters that were set, ``(N,)`` or a row for each environment; NaN: as the scene."""
         return {name: value.copy() for name, value in self._values.items()}
 
     def has(self, name: str) -> bool:
@@ -204,7 +234,8 @@ def _checked(scene: Scene, name: str, value: ArrayLike, count: int) -> Floats:
         values = np.asarray(value, float)
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} is {value!r}; expected numbers") from None
-    width = {"": (), "joint": (scene.hand.nq,), "axis": (3,)}[parameter.per]
+    hand = scene.hand
+    width = {"": (), "joint": (hand.nq,), "finger": (hand.n_fingers,), "axis": (3,)}[parameter.per]
     shapes = [(count, 3)] if parameter.per == "axis" else [(), (count,), (count, *width)]
     if values.shape not in shapes:
         known = " or ".join(str(shape) for shape in dict.fromkeys(shapes))
@@ -219,6 +250,6 @@ def _checked(scene: Scene, name: str, value: ArrayLike, count: int) -> Floats:
         sign = ">" if parameter.positive else ">="
         bound = f" {sign} {parameter.least:g}" if np.isfinite(parameter.least) else ""
         raise InvalidInput(f"{name} is {bad}; expected finite numbers{bound}")
-    if parameter.per == "joint" and values.ndim == 1:  # one number for all joints
+    if parameter.per in ("joint", "finger") and values.ndim == 1:  # one number for all of them
         values = values[:, None]
     return np.broadcast_to(values, (count, *width)).copy()

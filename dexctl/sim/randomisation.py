@@ -42,6 +42,10 @@ class Randomisation:
 
     friction_range: Range | None = None
     """Sliding friction coefficient between object and fingertips."""
+    tip_friction_range: Range | None = None
+    """Friction of each fingertip, as a share of what it and the object have otherwise."""
+    link_friction_range: Range | None = None
+    """Friction of palm and links, as a share of what they and the object have otherwise."""
     mass_range: Range | None = None
     """Mass of the object [kg]."""
     size_range: Range | None = None
@@ -124,6 +128,11 @@ class Randomisation:
         return self.gravity_tilt > 0 or self.gravity_turning_range is not None
 
     @property
+    def draws_surfaces(self) -> bool:
+        """Whether the friction of fingertips or links is drawn apart from the object's."""
+        return self.tip_friction_range is not None or self.link_friction_range is not None
+
+    @property
     def limits_hand(self) -> bool:
         """Whether limits of the hand are drawn."""
         drawn = (self.speed_range, self.torque_range, self.action_latency_range)
@@ -164,6 +173,7 @@ class Drawn(NamedTuple):
         push_force: ``(N,)`` [N].
         armature: a parameter of the simulator, as the first ones.
         joint_offset: what the encoders read at zero by its range, ``(N, d)`` [rad].
+        tip_friction, link_friction: parameters of the simulator, as the first ones.
     """
 
     friction: Floats
@@ -186,6 +196,8 @@ class Drawn(NamedTuple):
     push_force: Floats
     armature: Floats
     joint_offset: Floats
+    tip_friction: Floats
+    link_friction: Floats
 
 
 # which setting draws what, for all that is one number from one range
@@ -207,11 +219,13 @@ _RANGES = {
     "touch_dropout": "touch_dropout_range",
     "push_force": "push_range",
     "joint_offset": "joint_offset_range",
+    "tip_friction": "tip_friction_range",
+    "link_friction": "link_friction_range",
 }
 _SHARES = ("kp", "kv", "damping")  # of what they are in the scene
 PHYSICAL = (
     "friction", "object_mass", "object_size", "centre_of_mass", "kp", "kv", "damping",
-    "gear_friction", "armature", "gravity",
+    "gear_friction", "armature", "gravity", "tip_friction", "link_friction",
 )  # fmt: skip
 """What of `Drawn` the simulator's parameters are."""
 
@@ -254,6 +268,8 @@ def nominal(
         push_force=one(push.push_force),
         armature=each(lambda scene: scene.model.dof_armature[scene.qvel_columns]),
         joint_offset=np.zeros((count, hand.nq)),
+        tip_friction=np.ones((count, hand.n_fingers)),
+        link_friction=one(1.0),
     )
 
 
@@ -300,12 +316,14 @@ class Randomiser:
     def draw(self, chosen: Bools) -> None:
         """Draw for the episodes that begin in the environments chosen, ``(N,)``."""
         found: dict[str, Floats] = {}
-        *widths, last = [value[0].size for value in self.usual]
-        numbers = self.streams.uniform((sum(widths) + 2 + last,), chosen)
-        # the axis of turning has its two before the last field, which came later: what an
-        # episode's other numbers are stays as it was
-        *parts, more, offsets = np.split(numbers, np.cumsum([*widths, 2]), axis=1)
-        parts.append(offsets)
+        # the axis of turning has its two before the fields that came later, each at the end: what
+        # an episode's other numbers are stays as it was
+        later = Drawn._fields.index("joint_offset")
+        widths = [value[0].size for value in self.usual]
+        widths.insert(later, 2)
+        numbers = self.streams.uniform((sum(widths),), chosen)
+        parts = np.split(numbers, np.cumsum(widths)[:-1], axis=1)
+        more = parts.pop(later)
         for name, part, nominal in zip(Drawn._fields, parts, self.usual, strict=True):
             uniform = part.reshape(nominal.shape)
             if name in _RANGES:

@@ -445,10 +445,12 @@ class BatchSimulator:
             mask: in which environments, ``(N,)`` bool; None is all. The arrays have a row for
                 every environment all the same.
             parameters: by name. One number for all or ``(N,)``: ``friction`` (sliding, of object
-                and fingertips), ``object_mass`` [kg] (inertia scales with it), ``object_size`` (a
-                factor). Also ``(N, d)``: ``kp`` [N m/rad] and ``kv`` [N m s/rad] of the servos,
-                ``damping`` [N m s/rad], ``gear_friction`` [N m] and ``armature`` [kg m^2] of the
-                hand's joints.
+                and fingertips), ``link_friction`` (a share of what palm, links and whatever else
+                meets the object have with it otherwise), ``object_mass`` [kg] (inertia scales with
+                it), ``object_size`` (a factor). Also ``(N, m)``: ``tip_friction`` (the same share,
+                of each fingertip). Also ``(N, d)``: ``kp`` [N m/rad] and ``kv`` [N m s/rad] of the
+                servos, ``damping`` [N m s/rad], ``gear_friction`` [N m] and ``armature`` [kg m^2]
+                of the hand's joints.
                 ``(N, 3)``: ``gravity`` [m/s^2], ``centre_of_mass`` of the object, from the centre
                 of its shape, in its own frame [m] (its inertia stays as it was).
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dexctl.sim.randomisation import Drawn
 from dexctl.sim.simulation import Simulation
-from dexctl.state import Floats
+from dexctl.state import Floats, GraspState
 from dexctl.symmetry import HandSymmetry
 from learning.envs.observation import DRAWN, FINGERTIP_FORCE, JOINT_OFFSET, OBJECT_VELOCITY, Part
 
@@ -28,9 +28,14 @@ _SCALES = {
     "touch_threshold": 0.5,  # [N]
     "touch_dropout": 0.1,  # [1]
     "push_force": 0.5,  # [N]
+    "tip_friction": 0.3,  # [1]
+    "link_friction": 0.3,  # [1]
 }
 _SHARES = ("kp", "kv", "damping")  # of what they usually are, by tenths
 _JOINTS = (*_SHARES, "gear_friction")  # of which each joint has its own
+_FINGERS = ("touch_threshold", "tip_friction")  # of which each finger has its own
+_SURFACES = ("tip_friction", "link_friction")
+"""Seen only where one of them is drawn: networks from before they were there keep their widths."""
 
 
 def truth_parts(simulation: Simulation) -> Mapping[str, Part]:
@@ -40,23 +45,29 @@ def truth_parts(simulation: Simulation) -> Mapping[str, Part]:
     ``(N, 3 m)`` [N], in the world's frame (both in the thesis's critic, chapter 5); what the
     encoders read at zero ``(N, d)`` [rad]; and what holds in each episode, as deviations from what
     usually does. Gravity and the offsets are parts of their own there, the motors' inertia is left
-    out, and a limit that there is not counts as not deviating.
+    out, and a limit that there is not counts as not deviating. The friction of fingertips and
+    links is at the end, where one of them is drawn.
     """
     sim, usual = simulation.sim, simulation.randomiser.usual
-    size = features(usual, usual).shape[1]
+    surfaces = simulation.config.randomisation.draws_surfaces
+    size = features(usual, usual, surfaces=surfaces).shape[1]
+
+    def drawn(state: GraspState) -> Floats:
+        return features(simulation.randomiser.drawn, usual, surfaces=surfaces)
+
     return {
-        DRAWN: Part(lambda d, m: size, lambda state: features(simulation.randomiser.drawn, usual)),
+        DRAWN: Part(lambda d, m: size, drawn),
         OBJECT_VELOCITY: Part(lambda d, m: 6, lambda state: sim.object_velocity),
         FINGERTIP_FORCE: Part(lambda d, m: 3 * m, lambda state: sim.fingertip_force),
         JOINT_OFFSET: Part(lambda d, m: d, lambda state: simulation.joint_offset),
     }
 
 
-def features(drawn: Drawn, usual: Drawn) -> Floats:
-    """``(N, k)`` numbers of about unit size."""
+def features(drawn: Drawn, usual: Drawn, *, surfaces: bool = False) -> Floats:
+    """``(N, k)`` numbers of about unit size; ``surfaces``: with the friction of tips and links."""
     found = []
     with np.errstate(invalid="ignore"):
-        for name in _seen(Drawn._fields):
+        for name in _seen(Drawn._fields, surfaces=surfaces):
             value, nominal = getattr(drawn, name), getattr(usual, name)
             if name in _SHARES:
                 part = (value / np.where(nominal > 0, nominal, 1.0) - 1.0) * (nominal > 0) / 0.3
@@ -74,15 +85,16 @@ def turned_features(one: HandSymmetry, values: Floats) -> Floats:
     sign, which gains do not have.
     """
     d, m = len(one.joints), len(one.fingers)
-    sizes = dict.fromkeys(_JOINTS, d) | {"touch_threshold": m}
+    sizes = dict.fromkeys(_JOINTS, d) | dict.fromkeys(_FINGERS, m)
     sizes |= {"centre_of_mass": 3, "gravity_turning": 3}
     found, start = values.copy(), 0
-    for name in _seen(Drawn._fields):
+    known = sum(sizes.get(name, 1) for name in _seen(Drawn._fields))
+    for name in _seen(Drawn._fields, surfaces=values.shape[1] > known):
         columns = slice(start, start + sizes.get(name, 1))
         start, part = columns.stop, values[:, columns]
         if name in _JOINTS:
             found[:, columns][:, one.joints] = part
-        elif name == "touch_threshold":
+        elif name in _FINGERS:
             found[:, columns] = one.of_fingers(part)
         elif name == "gravity_turning":
             found[:, columns] = one.of_turnings(part)
@@ -91,6 +103,7 @@ def turned_features(one: HandSymmetry, values: Floats) -> Floats:
     return found
 
 
-def _seen(names: Iterable[str]) -> list[str]:
+def _seen(names: Iterable[str], *, surfaces: bool = False) -> list[str]:
     """Which of `Drawn` critics see, in their order."""
-    return [name for name in names if name in _SHARES or name in _SCALES]
+    seen = [name for name in names if name in _SHARES or name in _SCALES]
+    return [name for name in seen if surfaces or name not in _SURFACES]

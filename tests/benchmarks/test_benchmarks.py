@@ -84,7 +84,7 @@ RUNS: dict[str, list[str]] = {
         *(*SHORT, "--conditions", "up", "all", "--objects", "cube", "--picture", "None"),
     ],
     "ranges.py": [
-        *(*SHORT, "--varied", "centre_of_mass", "touch_dropout_range", "--jobs", "2"),
+        *(*SHORT, "--varied", "centre_of_mass", "link_friction_range", "--jobs", "2"),
         *("--picture", "None"),
     ],
 }

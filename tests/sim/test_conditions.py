@@ -30,11 +30,14 @@ def test_each_is_a_scene(name: str) -> None:
 def test_a_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(
-        "object_mass = 0.2\nfriction_range = [0.5, 0.6]\n[sensing]\njoint_noise = 0.1\n"
+        "object_mass = 0.2\nfriction_range = [0.5, 0.6]\ntip_friction_range = [0.7, 1.0]\n"
+        "link_friction_range = [0.2, 1]\n[sensing]\njoint_noise = 0.1\n"
     )
     config = under(SceneConfig(), str(path))
     assert config.object_mass == 0.2
     assert config.randomisation.friction_range == (0.5, 0.6)
+    assert config.randomisation.tip_friction_range == (0.7, 1.0)
+    assert config.randomisation.link_friction_range == (0.2, 1.0)
     assert config.sensing.joint_noise == 0.1
 
 

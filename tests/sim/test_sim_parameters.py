@@ -122,12 +122,84 @@ def test_joints_each_with_their_own(cylinder: Scene) -> None:
     assert sim.parameters.keys() == {"kp", "gear_friction", "armature"}
 
 
+def met(model: mujoco.MjModel, scene: Scene, geom: int) -> float:
+    """Sliding friction by which MuJoCo's own contact of this geom with the object goes."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    centre = data.geom_xpos[geom]
+    qpos = model.qpos0.copy()
+    qpos[scene.object_qpos][:3] = centre  # one in the other: they are in contact
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    own = {int(one) for one in np.flatnonzero(model.geom_bodyid == model.body("object").id)}
+    found = {
+        float(one.friction[0])
+        for one in data.contact
+        if geom in one.geom and own & {int(i) for i in one.geom}
+    }
+    (only,) = found
+    return only
+
+
+def test_friction_of_tips_and_links_by_mujocos_own_contacts(cylinder: Scene) -> None:
+    """Object 0.8; fingertips as shares of that; links, 1 in the file, as shares of the larger."""
+    shares = np.array([0.5, 0.75, 1.0, 1.25, 1.5])
+    one = ParameterSet(cylinder, 3, cylinder.model.opt.timestep)
+    one.set({"friction": 0.8})
+    one.set({"tip_friction": np.tile(shares, (3, 1))}, np.array([True, True, False]))
+    one.set({"link_friction": 0.6}, np.array([False, True, True]))
+    model = cylinder.model
+    tips = [model.body(name).id for name in cylinder.hand.fingertip_bodies]
+    own = model.geom_bodyid == model.body("object").id
+    links = np.flatnonzero(~own & ~np.isin(model.geom_bodyid, tips))
+    assert len(links) > 5
+    for model, tip, link in zip(
+        one.models, (0.8 * shares, 0.8 * shares, np.full(5, 0.8)), (1.0, 0.6, 0.6), strict=True
+    ):
+        for body, expected in zip(tips, tip, strict=True):
+            for geom in np.flatnonzero(model.geom_bodyid == body):
+                assert met(model, cylinder, int(geom)) == pytest.approx(expected)
+        for geom in links:
+            assert met(model, cylinder, int(geom)) == pytest.approx(link)
+        assert cylinder.friction(model) == pytest.approx(tip.min())
+
+
+def test_shares_of_one_change_nothing_and_go_with_a_restore() -> None:
+    slippery = Scene.build("dex5", "cylinder", friction=0.7)
+    one = ParameterSet(slippery, 2, slippery.model.opt.timestep)
+    one.set({"tip_friction": 1.0, "link_friction": 1.0})
+    assert all(differing(model, slippery.model) == [] for model in one.models)
+    one.set({"tip_friction": 0.5}, np.array([False, True]))
+    assert differing(one.models[1], slippery.model) == ["geom_friction"]
+    one.restore({})
+    assert differing(one.models[1], slippery.model) == []
+
+
+def test_friction_of_tips_and_links_whatever_their_priority(cylinder: Scene) -> None:
+    """Of a geom of higher priority MuJoCo takes its own, of a lower one the object's."""
+    scene = Scene.build("dex5", "cylinder")
+    model = scene.model
+    first, second, *_ = (model.body(name).id for name in scene.hand.fingertip_bodies)
+    (high, *_), (low, *_) = (np.flatnonzero(model.geom_bodyid == body) for body in (first, second))
+    model.geom_priority[[high, low]] = 2, -1
+    model.geom_friction[high, 0], model.geom_friction[low, 0] = 0.4, 3.0
+    one = ParameterSet(scene, 1, model.opt.timestep)
+    shares = np.array([[1.5, 0.5, 1.0, 1.0, 1.0]])
+    one.set({"tip_friction": shares})
+    assert met(one.models[0], scene, int(high)) == pytest.approx(0.6)  # 1.5 of its own 0.4
+    assert met(one.models[0], scene, int(low)) == pytest.approx(0.5)  # half of the object's 1
+
+
 def test_shapes_that_do_not_fit(cylinder: Scene) -> None:
     sim = BatchSimulator(cylinder, 4, seed=0)
     with pytest.raises(InvalidInput, match=r"gravity has shape \(3,\); expected \(4, 3\)"):
         sim.set_parameters(gravity=[0.0, 0.0, -9.81])
     with pytest.raises(InvalidInput, match=r"kp has shape \(4, 2\); expected \(\) or \(4,\) or"):
         sim.set_parameters(kp=np.ones((4, 2)))
+    with pytest.raises(InvalidInput, match=r"tip_friction has shape \(4, 2\); expected \(\) or"):
+        sim.set_parameters(tip_friction=np.ones((4, 2)))
+    with pytest.raises(InvalidInput, match=r"link_friction is -0.5; expected finite numbers >= 0"):
+        sim.set_parameters(link_friction=-0.5)
     with pytest.raises(InvalidInput, match=r"object_size is 0.0; expected finite numbers > 0"):
         sim.set_parameters(object_size=0.0)
     with pytest.raises(InvalidInput, match=r"centre_of_mass is 'a'; expected numbers"):

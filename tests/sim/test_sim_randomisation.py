@@ -35,6 +35,8 @@ EVERYTHING = Randomisation(
     touch_threshold_range=(0.05, 0.5),
     touch_dropout_range=(0.0, 0.1),
     joint_offset_range=(-0.05, 0.02),
+    tip_friction_range=(0.7, 1.2),
+    link_friction_range=(0.5, 1.5),
     push_range=(0.0, 0.5),
     gravity_tilt=np.pi,
     gravity_turning_range=(0.0, 0.5),
@@ -63,6 +65,8 @@ def test_numbers_are_uniform_in_their_ranges(cylinder: Scene) -> None:
         ("sensor_latency", 0.0, 0.1),
         ("touch_dropout", 0.0, 0.1),
         ("joint_offset", -0.05, 0.02),
+        ("tip_friction", 0.7, 1.2),
+        ("link_friction", 0.5, 1.5),
     ):
         values = getattr(drawn, name)
         assert low <= values.min() < low + 0.01 * (high - low)
@@ -72,6 +76,8 @@ def test_numbers_are_uniform_in_their_ranges(cylinder: Scene) -> None:
     assert share.min() >= 0.7
     assert share.max() <= 1.3
     assert np.unique(share.round(9)).size > 4000  # each servo its own
+    assert drawn.tip_friction.shape == (4000, 5)  # each fingertip its own
+    assert np.abs(np.corrcoef(drawn.tip_friction.T) - np.eye(5)).max() < 0.1
     assert set(np.unique(drawn.object_size.round(6))) == {0.9, 0.95, 1.0, 1.05, 1.1}
     assert np.abs(drawn.centre_of_mass).max() == pytest.approx(0.005, rel=0.01)
 
@@ -221,19 +227,47 @@ TURNING = [
     [0.01024693458383043, 0.010669474386006619, 0.004611178695978196],
     [-0.07982271210648129, 0.01954187459619449, -0.056978030893172465],
 ]
+OFFSET = -0.013748364384253142  # of the first joint, from before fingertips had their friction
 """Of EVERYTHING by seed 3, before there were offsets; what was measured is measured by these."""
 
 
-def test_what_was_drawn_before_there_were_offsets_stays(cylinder: Scene) -> None:
+def test_what_was_drawn_before_there_was_more_to_draw_stays(cylinder: Scene) -> None:
     made = randomiser(cylinder, EVERYTHING, 2, seed=3)
     made.draw(np.ones(2, bool))
     saved = made.save()
     np.testing.assert_allclose(made.drawn.friction, FRICTION, rtol=1e-12)
     np.testing.assert_allclose(made.drawn.gravity_turning, TURNING, rtol=1e-12)
-    del saved["drawn"]["joint_offset"]
+    np.testing.assert_allclose(made.drawn.joint_offset[0, 0], OFFSET, rtol=1e-12)
+    for name in ("joint_offset", "tip_friction", "link_friction"):
+        del saved["drawn"][name]
     made.restore(saved)
     assert not made.drawn.joint_offset.any()
+    assert (made.drawn.tip_friction == 1).all() and (made.drawn.link_friction == 1).all()
     np.testing.assert_allclose(made.drawn.friction, FRICTION, rtol=1e-12)
+
+
+def test_fingertips_that_slip_drop_what_others_hold() -> None:
+    """Two objects in one batch: each group gets its own rows."""
+    fast, slow = (
+        SceneConfig(
+            object=("cylinder", "sphere"), gravity="down", threads=1,
+            randomisation=Randomisation(tip_friction_range=share, link_friction_range=(0.3, 0.6)),
+        )
+        for share in ((0.1, 0.1), (0.9, 1.1))
+    )  # fmt: skip
+    fallen = []
+    for config in (fast, slow):
+        with Simulation(config, 4, 0) as sim:
+            drawn = sim.randomiser.drawn
+            np.testing.assert_allclose(sim.sim.friction, drawn.tip_friction.min(axis=1))
+            for _ in range(20):
+                sim.write(sim.read().q_target)
+                sim.step()
+            assert sim.state.object_position is not None
+            fallen.append(
+                np.linalg.norm(sim.state.object_position - sim.sim.start_position, axis=1)
+            )
+    assert fallen[0].min() > 0.05 and fallen[1].max() < 0.005
 
 
 def test_every_size_begins_in_a_grasp() -> None:
@@ -312,6 +346,8 @@ def test_touch_drops_out_as_often_as_drawn() -> None:
     ("settings", "said"),
     [
         ({"friction_range": (1.2, 0.8)}, r"friction_range is \(1.2, 0.8\); expected two finite"),
+        ({"tip_friction_range": (0.0, 1.0)}, "tip_friction_range is .*two finite numbers above 0"),
+        ({"link_friction_range": (2.0, 1.0)}, "link_friction_range is .*the lower one first"),
         ({"mass_range": (0.0, 0.2)}, r"mass_range is .*above 0 on, the lower one first"),
         ({"push_range": (0.0, np.nan)}, "push_range is"),
         ({"touch_dropout_range": (0.0, 1.5)}, "touch_dropout_range is .*expected shares, 0 to 1"),

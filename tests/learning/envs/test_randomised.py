@@ -40,6 +40,22 @@ def test_critics_see_what_was_drawn_and_policies_gravity() -> None:
     np.testing.assert_array_equal(seen[:, -3:].shape, (4, 3))
 
 
+def test_critics_see_the_friction_of_tips_and_links_where_it_is_drawn() -> None:
+    """Networks from before it could be drawn keep their width: 21 numbers and 4 of each joint."""
+    before = env(randomisation=Randomisation(friction_range=(0.6, 1.4)))
+    known = before.observations[1].slices["drawn"]
+    assert known.stop - known.start == 21 + 4 * before.hand.nq
+    made = env(randomisation=Randomisation(tip_friction_range=(0.7, 1.3)))
+    seen, _ = made.reset(seed=0)
+    columns = made.observations[1].slices["drawn"]
+    assert columns.stop - columns.start == known.stop - known.start + 5 + 1
+    more = seen[:, made.groups["critic"]][:, made.observation.size :][:, columns]
+    drawn = made.simulation.randomiser.drawn
+    np.testing.assert_allclose(more[:, -6:-1], (drawn.tip_friction - 1) / 0.3, atol=1e-5)
+    assert np.unique(more[:, -6:-1]).size == 20
+    assert not more[:, -1].any()  # that of the links, which is not drawn
+
+
 def test_set_points_stay_where_no_action_asks_for_more() -> None:
     """Encoders that are off must not make set-points creep."""
     made = env(sensing=Sensing(joint_offset=0.05))

@@ -143,6 +143,8 @@ ROWS = {  # before, after a quarter turn about z, after the mirror image across 
     "touch_threshold": ([23, 24], [24, 23], [24, 23]),
     "touch_dropout": ([25], [25], [25]),
     "push_force": ([26], [26], [26]),
+    "tip_friction": ([27, 28], [28, 27], [28, 27]),
+    "link_friction": ([29], [29], [29]),
 }
 
 
@@ -152,12 +154,15 @@ def test_what_an_episode_drew_is_turned() -> None:
     )
     np.testing.assert_allclose(turned_features(QUARTER, before), turned, atol=1e-12)
     np.testing.assert_allclose(turned_features(MIRROR, before), mirrored, atol=1e-12)
+    few = slice(0, 26)  # without tips and links, whose friction is not drawn
+    for one, found in ((QUARTER, turned), (MIRROR, mirrored)):
+        np.testing.assert_allclose(turned_features(one, before[:, few]), found[:, few], atol=1e-12)
     # the order of the rows is that of what critics see: one number after the other stands out
     nothing = Drawn(*(np.zeros((1, len(ROWS.get(name, ([0],))[0]))) for name in Drawn._fields))
     usual, start = Drawn(*(row + 1.0 for row in nothing)), 0
     for name, (row, _, _) in ROWS.items():
         off = usual._replace(**{name: getattr(usual, name) + 1.0})
-        columns = np.flatnonzero(features(off, usual)[0])
+        columns = np.flatnonzero(features(off, usual, surfaces=True)[0])
         assert columns.tolist() == list(range(start, start + len(row)))
         start += len(row)
 

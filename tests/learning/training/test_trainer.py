@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -295,6 +296,27 @@ def test_a_run_may_begin_with_the_networks_of_another(
     for name, one in saved["algorithm"]["networks"].items():
         assert torch.equal(one["flat"], state["networks"][name]["flat"]), name
     assert (state["steps"], state["updates"], len(state["replay"]["rows"])) == (0, 0, 0)
+
+
+def test_a_run_from_before_tips_had_their_friction_goes_on(tmp_path: Path, small: Make) -> None:
+    """Neither its configuration nor its checkpoint knows of it, and its critics do not see it."""
+    config = small(method="rl", friction_range=(0.6, 1.4), critic_parts=("drawn",))
+    train(replace(config, steps=100), tmp_path / "old")
+    train(config, tmp_path / "whole")
+    folder = RunFolder(tmp_path / "old")
+    saved, values = folder.read_checkpoint(), folder.config_values()
+    assert saved is not None
+    drawn = saved["env"]["simulation"]["randomiser"]["drawn"]
+    for scene in (values["env"]["scene"], saved["config"]["env"]["scene"]):
+        for name in ("tip_friction", "link_friction"):
+            del scene["randomisation"][f"{name}_range"]
+            drawn.pop(name, None)
+    folder.config_path.write_text(json.dumps(values))
+    folder.write_checkpoint(saved)
+    resume(tmp_path / "old", 200)
+    both = [policies.load(tmp_path / name) for name in ("old", "whole")]
+    for one, other in zip(*(policy.layers for policy in both), strict=True):
+        np.testing.assert_array_equal(one.weight, other.weight)
 
 
 @pytest.mark.parametrize("begins", [True, False])
