@@ -153,6 +153,31 @@ Range = Annotated[tuple[float, float], _comma_separated("LOW,HIGH", _read_range)
 """From a low to a high number; "low,high" on the command line."""
 
 
+def _read_named_ranges(words: list[str]) -> dict[str, tuple[float, float]]:
+    found: dict[str, tuple[float, float]] = {}
+    for word in words:
+        name, _, numbers = word.partition("=")
+        if not (name and numbers):
+            raise ValueError(f"{word!r} is no range with a name; expected name=low,high")
+        if name in found:
+            raise ValueError(f"{name!r} is given twice")
+        found[name] = _read_range([numbers])
+    return found
+
+
+NamedRanges = Annotated[
+    dict[str, tuple[float, float]],
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="[NAME=LOW,HIGH ...]",
+        instance_from_str=_read_named_ranges,
+        is_instance=lambda value: isinstance(value, dict),
+        str_from_instance=lambda value: [f"{name}={_commas(one)}" for name, one in value.items()],
+    ),
+]
+"""Ranges by name; "name=low,high", several of them, on the command line."""
+
+
 def _read_names(words: list[str]) -> tuple[str, ...]:
     return tuple(filter(None, words[0].split(",")))
 

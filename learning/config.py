@@ -105,6 +105,13 @@ class TrainConfig:
                 f"level_start is {self.curriculum.level_start} and there are no ranges to widen; "
                 "expected a range such as mass_range, or level_start 1"
             )
+        drawn = self.env.scene.randomisation.drawn
+        for name in self.curriculum.level_schedule:
+            if name not in drawn:
+                raise InvalidInput(
+                    f"level_schedule names {name}, by which nothing is drawn; drawn: "
+                    f"{', '.join(drawn)}"
+                )
         self._check_starts()
         own = self.learner
         if isinstance(own, OffPolicyConfig) and own.buffer_size < max(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -27,6 +27,7 @@ _MAY_BE_ZERO = (
     "gravity_turning_range",
 )  # fmt: skip
 _ANY = ("joint_offset_range",)  # may be below zero
+_CAPS = ("centre_of_mass", "gravity_tilt")  # drawn up to so much, each way
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +100,7 @@ class Randomisation:
                 _check_range(one.name, value)
         check_numbers(
             self,
-            not_negative=("centre_of_mass", "gravity_tilt"),
+            not_negative=_CAPS,
         )
         if self.gravity_tilt > np.pi:
             raise InvalidInput(f"gravity_tilt is {self.gravity_tilt}; expected 0 to pi")
@@ -123,6 +124,11 @@ class Randomisation:
         return self != Randomisation()
 
     @property
+    def drawn(self) -> tuple[str, ...]:
+        """The settings, of those that a level narrows, by which something is drawn."""
+        return tuple(name for name in WIDENED if getattr(self, name))
+
+    @property
     def draws_gravity(self) -> bool:
         """Whether gravity's direction is drawn."""
         return self.gravity_tilt > 0 or self.gravity_turning_range is not None
@@ -142,6 +148,12 @@ class Randomisation:
     def sizes(self) -> Floats:
         """The widths that are drawn from, ``(5,)``, as shares of the scene's; ``(1,)`` for one."""
         return np.array([1.0]) if self.size_range is None else np.linspace(*self.size_range, 5)
+
+
+WIDENED = tuple(
+    one.name for one in fields(Randomisation) if one.name.endswith("_range") or one.name in _CAPS
+)
+"""The settings of `Randomisation` that a level narrows."""
 
 
 def _check_range(name: str, value: object) -> None:
@@ -292,6 +304,8 @@ class Randomiser:
         level: how much of the ranges is used, from 0 (everything nominal) to 1, in the episodes
             to come. A limit that is infinite in the scene counts as the range's high end there, and
             a range of noises begins with none.
+        schedule: from which level on each range widens and at which all of it is used, by its
+            setting (of `WIDENED`); those without one are used as far as the level itself.
         drawn: what holds now.
         usual, streams: as given.
     """
@@ -299,7 +313,15 @@ class Randomiser:
     def __init__(self, config: Randomisation, usual: Drawn, streams: Streams) -> None:
         self.config, self.streams = config, streams
         self.level = 1.0
+        self.schedule: Mapping[str, tuple[float, float]] = {}
         self.drawn = self.usual = usual
+
+    def width(self, setting: str) -> float:
+        """How much of one setting's range is used at the level, from 0 to 1."""
+        first, whole = self.schedule.get(setting, (0.0, 1.0))
+        if self.level >= whole:
+            return 1.0
+        return max(self.level - first, 0.0) / (whole - first) if whole > first else 0.0
 
     @property
     def physical(self) -> tuple[str, ...]:
@@ -332,7 +354,8 @@ class Randomiser:
                     sizes = self.config.sizes
                     value = sizes[np.abs(value[:, None] - sizes).argmin(axis=1)]
             elif name == "centre_of_mass":
-                value = nominal + self.level * self.config.centre_of_mass * (2.0 * uniform - 1.0)
+                most = self.width(name) * self.config.centre_of_mass
+                value = nominal + most * (2.0 * uniform - 1.0)
             else:
                 continue
             found[name] = value
@@ -352,17 +375,17 @@ class Randomiser:
         given = getattr(self.config, _RANGES[name])
         if given is None:
             return nominal
-        low, high = given
+        (low, high), width = given, self.width(_RANGES[name])
         if name in _SHARES:
-            return nominal * (1.0 + self.level * (low + (high - low) * uniform - 1.0))
+            return nominal * (1.0 + width * (low + (high - low) * uniform - 1.0))
         usual = np.where(np.isfinite(nominal), nominal, high)
         if name == "noise":  # a level below one is to be easier, and noise as it is set is not
             usual = np.zeros_like(usual)
-        return usual + self.level * (low + (high - low) * uniform - usual)
+        return usual + width * (low + (high - low) * uniform - usual)
 
     def _tilted(self, gravity: Floats, height: Floats, azimuth: Floats, straight: Floats) -> Floats:
         """Gravity turned from where it points, uniformly on the cap of the sphere, or straight."""
-        most = self.level * self.config.gravity_tilt
+        most = self.width("gravity_tilt") * self.config.gravity_tilt
         if not most:
             return gravity
         size = np.linalg.norm(gravity, axis=1)
@@ -384,7 +407,8 @@ class Randomiser:
         across = np.sqrt(np.maximum(1.0 - height**2, 0.0))
         angle = 2.0 * np.pi * direction[:, 1]
         axis = np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
-        return (self.level * (given[0] + (given[1] - given[0]) * speed))[:, None] * axis
+        width = self.width("gravity_turning_range")
+        return (width * (given[0] + (given[1] - given[0]) * speed))[:, None] * axis
 
     def turn(self, seconds: float) -> bool:
         """Let gravity turn for so long; whether it does in any environment."""

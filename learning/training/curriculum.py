@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.validation import check_numbers, check_whole
+from dexctl.settings import NamedRanges
+from dexctl.sim.randomisation import WIDENED
+from dexctl.validation import check_name, check_numbers, check_whole
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """How the ranges of `dexctl.sim.randomisation.Randomisation` widen in training.
 
-    The thesis (chapter 5, "Sim-to-real transfer") widens them one after the other; here it is all
-    of them together, gravity's direction among them, as far as the policy keeps up.
+    The thesis (chapter 5, "Sim-to-real transfer") widens them one after the other, which
+    ``level_schedule`` can say; without it all of them widen together, gravity's direction among
+    them, as far as the policy keeps up.
 
     Raises:
-        InvalidInput: a setting is wrong; the message names it.
+        UnknownName, InvalidInput: a setting is wrong; the message names it.
     """
 
     level_start: float = 1.0
@@ -27,6 +30,10 @@ class CurriculumConfig:
     the policy holds. 1: no curriculum."""
     level_step: float = 0.05
     """By how much the level goes up or down at a time."""
+    level_schedule: NamedRanges = field(default_factory=dict)
+    """From which level on a range widens and at which all of it is used, by its name:
+    mass_range=0.5,1 is not drawn before the level is 0.5, and 0,0 all of it from step 0 on. What
+    is not named is used as far as the level itself, as by 0,1."""
     level_steps: int = 10_000
     """Steps of the policy by itself between two judgements."""
     widen_above: float = 0.8
@@ -38,6 +45,18 @@ class CurriculumConfig:
         shares = ("level_start", "widen_above", "narrow_below")
         check_numbers(self, positive=("level_step",), fractions=shares)
         check_whole(self, level_steps=1)
+        for name, part in self.level_schedule.items():
+            check_name("range of level_schedule", name, WIDENED)
+            if not 0.0 <= part[0] <= part[1] <= 1.0:
+                raise InvalidInput(
+                    f"level_schedule of {name} is {part}; expected two levels from 0 to 1, the "
+                    "lower one first"
+                )
+        if self.level_schedule and not self:
+            raise InvalidInput(
+                f"level_schedule is of {', '.join(self.level_schedule)} and level_start 1; "
+                "expected a level_start below 1, or no level_schedule"
+            )
         if self.narrow_below > self.widen_above:
             raise InvalidInput(
                 f"narrow_below is {self.narrow_below} and widen_above {self.widen_above}; "

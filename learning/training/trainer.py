@@ -172,6 +172,7 @@ class Trainer:
         self._remark = remark or (lambda text: None)
         self._next_log, self._next_checkpoint = config.log_every, config.checkpoint_every
         self._begin_clocks(0.0, 0.0)
+        self.env.simulation.randomiser.schedule = config.curriculum.level_schedule
         self.env.simulation.randomiser.level = self.curriculum.level
         self._observation, _ = self.env.reset()
         self._log: RunLog | None = None

@@ -139,6 +139,44 @@ def test_level_narrows_ranges_towards_what_is_usual(cylinder: Scene) -> None:
     assert 0.4 < made.drawn.noise.max() <= 0.5
 
 
+def test_each_range_widens_in_its_own_part_of_the_level(cylinder: Scene) -> None:
+    """Friction and mass 1 and 0.1 kg by themselves; nothing, half, all: of the range's width."""
+    made = randomiser(cylinder, EVERYTHING, 4000)
+    made.schedule = {
+        "friction_range": (0.0, 0.4), "mass_range": (0.6, 1.0), "gravity_tilt": (0.0, 0.0),
+        "centre_of_mass": (1.0, 1.0), "stiffness_range": (0.2, 0.2),
+    }  # fmt: skip
+    for level, friction, mass, tilt, centre, stiffness, damping in (
+        (0.0, (1.0, 1.0), (0.1, 0.1), np.pi, 0.0, 1.0, 1.0),
+        (0.1, (0.9, 1.1), (0.1, 0.1), np.pi, 0.0, 1.0, 0.97),
+        (0.4, (0.6, 1.4), (0.1, 0.1), np.pi, 0.0, 0.7, 0.88),
+        (0.8, (0.6, 1.4), (0.075, 0.175), np.pi, 0.0, 0.7, 0.76),
+        (1.0, (0.6, 1.4), (0.05, 0.25), np.pi, 0.005, 0.7, 0.7),
+    ):
+        made.level = level
+        made.draw(np.ones(4000, bool))
+        drawn = made.drawn
+        for value, (low, high) in ((drawn.friction, friction), (drawn.object_mass, mass)):
+            close = pytest.approx(0.0, abs=0.01 * (high - low) + 1e-12)
+            assert value.min() - low == close and value.max() - high == close
+        lowest = (-drawn.gravity[:, 2] / 9.81).min()
+        assert lowest == pytest.approx(np.cos(tilt), abs=0.01)
+        assert np.abs(drawn.centre_of_mass).max() == pytest.approx(centre, abs=1e-4)
+        assert (drawn.kp / cylinder.stiffness).min() == pytest.approx(stiffness, abs=1e-3)
+        share = drawn.kv / made.usual.kv
+        assert share.min() == pytest.approx(damping, abs=1e-3)  # as far as the level itself
+
+
+def test_a_schedule_takes_no_other_numbers(cylinder: Scene) -> None:
+    one, other = (randomiser(cylinder, EVERYTHING, 4, seed=2) for _ in range(2))
+    other.schedule = dict.fromkeys(EVERYTHING.drawn, (0.0, 1.0))
+    for made in (one, other):
+        made.level = 0.3
+        made.draw(np.ones(4, bool))
+    for name in Drawn._fields:
+        np.testing.assert_array_equal(getattr(one.drawn, name), getattr(other.drawn, name), name)
+
+
 def test_noise_of_one_share_grows_with_the_level(cylinder: Scene) -> None:
     made = randomiser(cylinder, Randomisation(noise_range=(1.0, 1.0)), 4)
     for level in (0.0, 0.25, 1.0):

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("torch")
 
-from dexctl.exceptions import InvalidInput
+from dexctl.cli.parsing import parse
+from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.settings import changed, from_plain, to_plain
+from learning.cli.train import Train
 from learning.config import TrainConfig
 from learning.training.curriculum import Curriculum, CurriculumConfig
 from learning.training.log import read_rows
+from learning.training.run_folder import RunFolder
 from learning.training.trainer import resume, train
 
 CONFIG = CurriculumConfig(
@@ -63,16 +69,39 @@ def test_without_a_curriculum_the_level_stays() -> None:
         ({"level_start": 1.5}, "level_start is 1.5; expected a number from 0 to 1"),
         ({"level_step": 0.0}, "level_step is 0.0; expected a finite number above 0"),
         ({"widen_above": 0.1}, "narrow_below is 0.2 and widen_above 0.1"),
+        (
+            {"level_start": 0.0, "level_schedule": {"friction": (0.0, 0.5)}},
+            "unknown range of level_schedule 'friction'; known: friction_range, tip_friction_",
+        ),
+        (
+            {"level_start": 0.0, "level_schedule": {"gravity_tilt": (0.7, 0.5)}},
+            r"level_schedule of gravity_tilt is \(0.7, 0.5\); expected two levels from 0 to 1",
+        ),
+        (
+            {"level_start": 0.0, "level_schedule": {"gravity_tilt": (0.0, np.nan)}},
+            "level_schedule of gravity_tilt is",
+        ),
+        (
+            {"level_schedule": {"gravity_tilt": (0.0, 0.5)}},
+            "level_schedule is of gravity_tilt and level_start 1; expected a level_start below 1",
+        ),
     ],
 )
-def test_bad_settings(changes: dict[str, float], text: str) -> None:
-    with pytest.raises(InvalidInput, match=text):
-        CurriculumConfig(**changes)  # type: ignore[arg-type]
+def test_bad_settings(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises((InvalidInput, UnknownName), match=text):
+        CurriculumConfig(**changes)
 
 
 def test_nothing_to_widen() -> None:
     with pytest.raises(InvalidInput, match="no ranges to widen"):
         TrainConfig(curriculum=CONFIG)
+    settings = {"level_start": 0.0, "mass_range": (0.05, 0.2), "gravity_tilt": 1.0}
+    changed(TrainConfig(), settings | {"level_schedule": {"mass_range": (0.0, 0.5)}})
+    with pytest.raises(
+        InvalidInput,
+        match="names push_range, by which nothing is drawn; drawn: mass_range, gravity_tilt",
+    ):
+        changed(TrainConfig(), settings | {"level_schedule": {"push_range": (0.0, 0.5)}})
 
 
 def test_in_a_run_it_sets_the_level_and_is_logged_and_resumed(
@@ -99,3 +128,49 @@ def test_in_a_run_it_sets_the_level_and_is_logged_and_resumed(
         for name in ("whole", "part")
     )
     assert part == whole
+
+
+SCHEDULE = {"mass_range": (0.5, 1.0), "gravity_tilt": (0.0, 0.0)}
+
+
+def test_each_range_of_a_run_has_its_schedule_and_a_resumed_one_goes_on_with_it(
+    tmp_path: Path, small: Callable[..., TrainConfig]
+) -> None:
+    config = small(
+        method="rl", mass_range=(0.05, 0.25), gravity_tilt=3.0, friction_range=(0.6, 1.4),
+        level_start=0.75, level_steps=1000, level_schedule=SCHEDULE, steps=48,
+    )  # fmt: skip
+    train(config, tmp_path / "whole")
+    train(replace(config, steps=20), tmp_path / "part")
+    assert RunFolder(tmp_path / "part").config().curriculum.level_schedule == SCHEDULE
+    resume(tmp_path / "part", 48)
+    whole, part = (RunFolder(tmp_path / name).read_checkpoint() for name in ("whole", "part"))
+    assert whole is not None and part is not None
+    drawn = [one["env"]["simulation"]["randomiser"]["drawn"] for one in (whole, part)]
+    for name, value in drawn[0].items():
+        np.testing.assert_array_equal(drawn[1][name], value, name)
+    # at 0.75: half of the mass's range, from 0.1 kg, three quarters of friction's, from 1
+    assert 0.075 <= drawn[0]["object_mass"].min() < drawn[0]["object_mass"].max() <= 0.175
+    assert 0.7 <= drawn[0]["friction"].min() < drawn[0]["friction"].max() <= 1.3
+
+
+def test_a_run_from_before_there_were_schedules_goes_on(
+    tmp_path: Path, small: Callable[..., TrainConfig]
+) -> None:
+    train(small(method="rl", mass_range=(0.05, 0.2), level_start=0.5, steps=20), tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    saved, values = folder.read_checkpoint(), folder.config_values()
+    assert saved is not None
+    for config in (saved["config"], values):
+        del config["curriculum"]["level_schedule"]
+    folder.config_path.write_text(json.dumps(values))
+    folder.write_checkpoint(saved)
+    assert resume(tmp_path / "run", 40)["steps"] == 40
+
+
+def test_a_schedule_is_given_by_names() -> None:
+    words = "--level-start 0 --env.mass-range 0.05,0.2 --env.gravity-tilt 3 --level-schedule"
+    command = parse(Train, "dexctl train", [*words.split(), "mass_range=0.5,1", "gravity_tilt=0,0"])
+    assert command is not None and command.config.curriculum.level_schedule == SCHEDULE
+    plain = json.loads(json.dumps(to_plain(command.config)))
+    assert from_plain(TrainConfig, plain) == command.config
