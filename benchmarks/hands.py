@@ -3,7 +3,9 @@
 Of each hand no more is taken than its description file and its fingertips; where it holds an
 object, how large and in which posture is searched for (`Scene.suggest_grasp`). Each grasp that is
 suggested is written into a toml, as `dexctl hands add` does, and held by the set-points alone,
-palm up and palm down. Hands whose files are not here are said so.
+palm up and palm down. Before that `dexctl hands add FILE` itself runs as a process, as somebody who
+has no more than the file types it, and `dexctl hands check` tries what it wrote. Hands whose files
+are not here are said so.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
+from adding import COMMANDS, added, figures_of_adding, in_order, line_of_adding, table_of_adding
 from common import (
     PALMS,
     Figure,
@@ -24,6 +27,7 @@ from common import (
     over_seeds,
     percent_interval,
     progress,
+    read,
     settings,
     share,
     trials,
@@ -36,7 +40,6 @@ from dexctl.hand_config import HeldObject, PostureConfig
 from dexctl.sim import Scene, SceneConfig, SuggestedGrasp
 
 OBJECTS = ("cube", "sphere", "cylinder")
-COMMANDS = ("dexctl hands add FILE", "dexctl check-grasp --hand MY_HAND.toml")
 FIXED = ("seed", "trials", "seconds", "suggestions", "searches")
 
 
@@ -56,6 +59,10 @@ class Options(Settings):
     """Grasps that are taken of each search."""
     searches: int = 4
     """Searches for each hand and object, with seeds from the first on."""
+    adds: int = 2
+    """How often `dexctl hands add` runs for each file, with seeds from the first on."""
+    told: str = ""
+    """Further options that it is given; as nobody gives them who has a file only, by default."""
 
 
 def bare(name: str) -> HandModel:
@@ -167,8 +174,8 @@ def figures_of(rows: list[dict[str, Any]], given: Options) -> list[Figure]:
         out.append(
             Figure(
                 f"{Path(name).stem}: suggested grasps that hold for {given.seconds:g} s; seconds "
-                "of one core for a search; commands from the file to a hold",
-                f"{', '.join(parts)}; {seconds:.1f} s; {len(COMMANDS)}",
+                "of one core for a search",
+                f"{', '.join(parts)}; {seconds:.1f} s",
             )
         )
     return out
@@ -177,22 +184,37 @@ def figures_of(rows: list[dict[str, Any]], given: Options) -> list[Figure]:
 def main() -> None:
     given = settings(Options, __doc__)
     rows = earlier("hands", given, FIXED)
+    path = given.out / "hands.json"
+    runs = read(path).get("runs", []) if given.resume and path.is_file() else []
     done = {(row["hand"], row.get("object")) for row in rows}
 
     def save(*, say: bool) -> None:
+        figures = [*figures_of_adding(runs), *figures_of(rows, given)]
+        tables = [table_of_adding(runs), table_of(rows, given)]
         write(
-            "hands", given, figures_of(rows, given), [table_of(rows, given)], say=say,
-            commands=COMMANDS, trials=rows,
+            "hands", given, figures, tables if runs else tables[1:], say=say, commands=COMMANDS,
+            trials=rows, runs=runs,
         )  # fmt: skip
 
+    files: dict[str, Path] = {}
     for name in given.hands:
         try:
-            hands.load(name)
+            files[name] = hands.load(name).path
         except DexctlError as error:
             progress(f"{name}: not here: {error}")
-            if (name, None) not in done:
-                rows.append({"hand": name, "missing": f"not here: {error}"})
+            for known in (rows, runs):  # what was measured where it was here stays
+                if all(row["hand"] != name for row in known):
+                    known.append({"hand": name, "missing": f"not here: {error}"})
+    for seed, name in product(range(given.seed, given.seed + given.adds), files):
+        ran = {(run["hand"], run.get("seed"), run.get("told")) for run in runs}
+        if (name, seed, given.told) in ran:
             continue
+        one = added(name, files[name], seed, given.told)
+        progress(" | ".join(line_of_adding(one)))
+        others = [run for run in runs if run["hand"] != name or "missing" not in run]
+        runs[:] = in_order([*others, one])
+        save(say=False)
+    for name in files:
         for turned in given.objects:
             if (name, turned) in done:
                 continue

@@ -35,7 +35,10 @@ RUNS: dict[str, list[str]] = {
     "gaits.py": [*SHORT, "--objects", "cylinder", "u_shape"],
     "gaits_long.py": [*SHORT, "--objects", "cylinder"],
     "ablation.py": [*SHORT, "--variants", "complete", "no_governor"],
-    "hands.py": [*SHORT, "--hands", "dex5", "none.toml", "--objects", "sphere", "--searches", "1"],
+    "hands.py": [
+        *(*SHORT, "--hands", "dex5", "none.toml", "--objects", "sphere", "--searches", "1"),
+        *("--adds", "1", "--told=--object sphere --turning.grasps 0"),
+    ],
     "hands_turning.py": [*SHORT, "--hands", "wonik_allegro"],
     "hands_learned.py": [*SHORT],
     "learner.py": [
@@ -112,7 +115,7 @@ def run(script: str, *arguments: str | Path, **environment: str) -> subprocess.C
 def test_every_script_is_run_here() -> None:
     scripts = {path.name for path in FOLDER.glob("*.py")} - {
         "common.py", "readme.py", "learner_profile.py", "learning_curves.py", "sides.py",
-        "stock.py", "judo_side.py",
+        "stock.py", "judo_side.py", "adding.py",
     }  # fmt: skip
     assert scripts == set(RUNS)
 
@@ -220,6 +223,57 @@ def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
     rows = json.loads((tmp_path / "hands_turning.json").read_text())["trials"]
     assert [row["hand"] for row in rows] == ["wonik_allegro", "leap_hand", "shadow_hand"]
     assert all("not here" in row["missing"] for row in rows)
+
+
+def test_what_it_takes_to_add_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+    adding = importlib.import_module("adding")
+    held = {
+        palm: adding.counted("16 of 16 disturbed grasps of the cube") for palm in ("up", "down")
+    }
+    assert adding.counted("the hand does not hold it") is None
+    quick = {"hand": "mine/quick.urdf", "seed": 0, "load": 1.2, "error": None, "grasp": "cube"}
+    quick |= {"wall_s": 180.0, "cpu_s": 192.0, "holds": held}
+    busy = quick | {"seed": 1, "load": 6.0, "wall_s": 1500.0, "cpu_s": 240.0}
+    slow = quick | {"hand": "slow.xml", "wall_s": 660.0, "cpu_s": 600.0}
+    down = adding.counted("14 of 16 disturbed grasps of the cube")
+    drops = quick | {"hand": "drops.xml", "holds": {"up": held["up"], "down": down}}
+    none = quick | {"hand": "none.xml", "error": "no place is in reach"}
+    del none["holds"]
+    away = {"hand": "away", "missing": "not here: away.xml is not there"}
+    # by the clock, unless it had to wait: then by the processor
+    assert [adding.minutes(one) for one in (quick, busy, slow)] == [3.0, 4.0, 11.0]
+    runs = adding.in_order([quick, slow, drops, none, away, busy])
+    assert [run.get("seed") for run in runs] == [0, 1, 0, 0, 0, None]
+    figures = adding.figures_of_adding(runs)
+    # in time and held palm up; held both ways
+    met = [(True, True), (False, True), (True, False), (False, False)]
+    assert [(one.met, two.met) for one, two in zip(figures[::2], figures[1::2], strict=True)] == met
+    assert figures[0].measured == ("4.0 min of processor, 25.0 by the clock at a load of 6; 2 of 2")
+    assert figures[1].measured == "palm up 32 of 32, palm down 32 of 32"
+    assert figures[5].measured == "palm up 16 of 16, palm down 14 of 16"  # 88 %, 90 % are asked
+    assert figures[7].measured == "palm up 0 of 0, palm down 0 of 0"
+    lines = adding.table_of_adding(runs)["rows"]
+    assert {len(line) for line in lines} == {8}
+    assert lines[3][-1] == "14 of 16" and lines[4][5] == "no place is in reach"
+    assert lines[5][:2] == ["away", "not here: away.xml is not there"]
+
+
+def test_hands_that_are_not_here_keep_what_was_measured_of_them(tmp_path: Path) -> None:
+    path, arguments = tmp_path / "hands.json", ["hands.py", *SHORT, "--out", str(tmp_path)]
+    assert run(*arguments, "--hands", "none.toml").returncode == 0
+    result = json.loads(path.read_text())
+    held = {"count": 1, "of": 2, "share": 0.5, "wilson95": [0.1, 0.9]}
+    kinds = ("palm_up", "palm_down", "best_palm_up", "best_palm_down")
+    row = {"hand": "leap_hand", "object": "sphere", "search_cpu_s": {"median": 8.5}}
+    result["trials"] = [row | dict.fromkeys(kinds, held) | {"measured_with": 0}]
+    path.write_text(json.dumps(result | {"runs": []}))
+    done = run(*arguments, "--hands", "leap_hand", "--resume", DEXCTL_MENAGERIE=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    after = json.loads(path.read_text())
+    assert after["trials"] == result["trials"]  # and no row beside it that it is not here
+    assert [row["hand"] for row in after["runs"]] == ["leap_hand"]
+    assert "not here" in after["runs"][0]["missing"]
 
 
 @pytest.mark.parametrize(
