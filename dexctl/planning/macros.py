@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from dexctl.exceptions import InvalidInput
 from dexctl.gait import CoordinatedGaitConfig, Macro, MacroConfig
 from dexctl.gait.selection import Choice, Grasps, choose
-from dexctl.igm import InGraspManipulationConfig
 from dexctl.planning.expansion import Expander, Expansion, Problem
 from dexctl.planning.nodes import Nodes
 from dexctl.planning.simulated import Driven, SimulatedExpander
@@ -23,11 +22,6 @@ if TYPE_CHECKING:
     from dexctl.sim import BatchSimulator
 
 _LONGEST = 4.0  # a macro that is not over by then is given up [s]
-
-
-def _regardless() -> MacroConfig:
-    """That in-grasp manipulation stops there makes actions shorter, and trees grow by those."""
-    return MacroConfig(in_grasp=InGraspManipulationConfig.for_switching(reach_distance=0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +58,8 @@ class ControllerMacros(Expansion):
     """Random landings lie within this about the axis of where the finger was at the root [rad]."""
     gait: CoordinatedGaitConfig = field(default_factory=CoordinatedGaitConfig)
     """Decides in guided actions which finger is switched, and how far back it lands."""
-    macro: MacroConfig = field(default_factory=_regardless)
-    """Of the controllers; twists go on at the end of the reach, for what that loses is not kept."""
+    macro: MacroConfig = field(default_factory=MacroConfig)
+    """Of the controllers."""
     lazy: bool = True
     """As in `RandomActions`."""
     batch: int = 32

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from dexctl.exceptions import InvalidInput
-from dexctl.gait import Macro, MacroConfig
 from dexctl.planning import (
     Bounds,
     ControllerMacros,
@@ -108,25 +107,6 @@ def test_macros_turn_the_object_further(cylinder: Scene) -> None:
     )
     assert seen[-1].nodes == len(tree) and seen[-1].expansions == tree.header.expansions
     assert tree.header.settings["expansion"]["macro"]["in_grasp"]["grip_force"] == 2.5
-
-
-def test_twists_go_on_at_the_end_of_the_reach() -> None:
-    """They stopped there, as a robot's should; trees took three times the expansions for it."""
-    scene, turned = Scene.build("dex5", "l_shape", "up"), []
-    for config in (MacroConfig(), ControllerMacros().macro):
-        macro = Macro(scene.hand, config)
-        with BatchSimulator(scene, 1, disturbance=0.0, threads=1) as sim:
-            state = sim.read()
-            macro.reset()
-            macro.begin(state, np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.5]]))
-            seen = [state.object_quaternion]
-            for _ in range(60):
-                sim.write(state.q_target + macro.act(state))
-                sim.step()
-                state = sim.read()
-                seen.append(state.object_quaternion)
-        turned.append(rotation_about(np.stack(seen))[-1, 0])
-    assert turned[1] > 1.25 * turned[0] > 0.5  # 1.25 and 0.86 rad
 
 
 def test_a_tree_that_is_interrupted_is_whole(cylinder: Scene, tmp_path: Path) -> None:
