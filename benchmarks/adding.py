@@ -23,9 +23,7 @@ from dexctl.cli.hand_checks import HELD_SHARE
 COMMANDS = ("dexctl hands add FILE", "dexctl hands check MY_HAND.toml")
 """The first one writes a grasp that holds; the second one shows that it does."""
 GOAL = 10.0  # from the file to a grasp that holds, at most [min]
-_IDLE = (
-    0.75  # of the processors a run has to have, or its wall time is rather of what ran beside it
-)
+_IDLE = 0.75  # of a processor that a run has to have, or its wall time is of what ran beside it
 
 
 def process(words: Sequence[str]) -> dict[str, Any]:

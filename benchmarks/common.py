@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import tyro
@@ -29,10 +29,13 @@ from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.files import write_text
 from dexctl.report.machine import machine
 from dexctl.rotations import inverse, multiply
-from dexctl.settings import to_plain
+from dexctl.settings import from_plain
 from dexctl.sim import Scene, SceneConfig, Simulation, Trace, run
 from dexctl.statistics import bootstrap, wilson
 from dexctl.validation import check_name
+
+if TYPE_CHECKING:
+    from learning.config import TrainConfig
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FULL_TURN = 2 * np.pi
@@ -312,8 +315,8 @@ def measure_with_seeds(
         column: what a row calls the one that was measured.
         known: all that can be measured, in the order of the rows.
         chosen: those that are measured.
-        config: (one, seed, given) -> its training's configuration; a row that an interrupted run
-            has left counts where it has the same.
+        config: (one, seed, given) -> its training's configuration, which rows that an interrupted
+            run has left are to have too.
         measure: (one, seed, given) -> its row, with the training_seed and the config.
         save: (rows, given, say=) writes the result.
         line: row -> what whoever waits reads.
@@ -326,8 +329,13 @@ def measure_with_seeds(
     rows = {}
     for row in earlier(name, given, fixed):
         each = row[column], row["training_seed"]
-        if each[0] in known and row["config"] == to_plain(config(*each, given)):
-            rows[each] = row
+        if each[0] not in known or not _same(row["config"], config(*each, given)):
+            raise InvalidInput(
+                f"{given.out / name}.json cannot be gone on with, {each[0]} (seed {each[1]}) was "
+                "trained with other settings; expected the same, or no --resume, which writes over "
+                "it"
+            )
+        rows[each] = row
 
     def write_down(*, say: bool) -> None:
         in_order = sorted(rows, key=lambda each: (known.index(each[0]), each[1]))
@@ -345,6 +353,14 @@ def measure_with_seeds(
     finally:
         pool.shutdown(cancel_futures=True)
     write_down(say=True)
+
+
+def _same(had: Mapping[str, Any], wanted: TrainConfig) -> bool:
+    """Whether a row's configuration is this one; settings that came later have their defaults."""
+    try:
+        return from_plain(type(wanted), had).with_mass() == wanted.with_mass()
+    except DexctlError:  # it has one that there is no longer
+        return False
 
 
 def controls(scene: Scene, q_target: np.ndarray, substeps: int) -> np.ndarray:

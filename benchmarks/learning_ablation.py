@@ -14,7 +14,6 @@ from typing import Any
 
 from common import FULL_TURN, Settings, measure_with_seeds, over_seeds, settings, share, write
 
-from dexctl import hands
 from dexctl.settings import changed, get, to_plain
 from learning.config import TrainConfig, recipe
 from learning.evaluation import evaluate, open_subject
@@ -111,7 +110,7 @@ class Ablation:
     def config(self, name: str, seed: int, given: Options) -> TrainConfig:
         """Everything that the training of a variant is."""
         variant, thesis = self.variants[name], TrainConfig()
-        found = changed(
+        return changed(
             recipe(variant.recipe, variant.method),
             {
                 **self.task,
@@ -124,8 +123,7 @@ class Ablation:
                 **{path: get(thesis, path) for path in variant.usual},
                 **variant.changes,
             },
-        )
-        return found.with_mass(hands.config(found.env.scene.hand))  # as a run keeps it
+        ).with_mass()  # as a run keeps it
 
     def measure(self, name: str, seed: int, given: Options) -> dict[str, Any]:
         """Train a variant, or go on; evaluate its policy."""

@@ -344,7 +344,7 @@ def measure(name: str, method: str, seed: int | None, given: Options) -> list[di
     task = TASKS[name]
     folder, how, by = given.runs / f"{name}-{method}-{seed}", METHODS[method], ()
     if how.by_tree and not (given.trained_only or RunFolder.is_run(folder)):
-        by = (f"planned:{guiding_tree(name, task, given, seed).resolve()}",)
+        by = (f"planned:{guiding_tree(name, task, given, seed)}",)
     found = trained(folder, config(task, how, given, seed, by), given)
     if found is None:
         return []
@@ -357,7 +357,7 @@ def measure(name: str, method: str, seed: int | None, given: Options) -> list[di
         "task": name, "method": method, "training_seed": found.seed, "steps": int(last["step"]),
         "training_s": whole(last["seconds"]), "training_cpu_s": whole(last.get("cpu_seconds")),
         "start_from": start, "algorithm": found.algorithm, "guides": [
-            guide.partition(":")[0] if how.by_tree else guide for guide in found.guides
+            guide.partition(":")[0] for guide in found.guides
         ],
         "hard_stop": found.guidance.hard_stop if found.guides else None,
     }  # fmt: skip

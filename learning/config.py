@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from dexctl import controllers
+from dexctl import controllers, hands
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand_config import HandConfig
 from dexctl.settings import FILE_OR_NAME, NESTED, changed
@@ -156,9 +156,14 @@ class TrainConfig:
         """The settings of the algorithm that is chosen."""
         return {"sac": self.sac, "td3": self.td3, "ppo": self.ppo}[self.algorithm]
 
-    def with_mass(self, hand: HandConfig) -> TrainConfig:
-        """The same with the object's mass said, for what is kept: the hand's toml may change."""
-        scene = self.env.scene.with_mass(hand)
+    def with_mass(self, hand: HandConfig | None = None) -> TrainConfig:
+        """The same with the object's mass said, for what is kept: the hand's toml may change.
+
+        Args:
+            hand: what its toml says; None: it is read.
+        """
+        scene = self.env.scene
+        scene = scene.with_mass(hands.config(scene.hand) if hand is None else hand)
         return replace(self, env=replace(self.env, scene=scene))
 
     @property

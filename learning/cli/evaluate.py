@@ -119,10 +119,10 @@ class Evaluate:
         scene = self.protocol.scene
         if scene.initial_states is None:
             return
-        hand = who.acting(self.protocol).hand
         from dexctl.sim import Simulation
         from learning.starts.check import remark_on_starts
 
+        hand = who.acting(self.protocol).hand
         for name in dict.fromkeys((*own, *scene.object)):
             config = replace(scene, object=(name,))
             with Simulation(config, self.protocol.episodes, self.protocol.seed, hand=hand) as made:

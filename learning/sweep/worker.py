@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from dexctl import hands
 from dexctl.exceptions import DexctlError, InvalidInput
 from dexctl.settings import from_plain
 from learning.config import TrainConfig
@@ -65,7 +64,7 @@ def _train(config: TrainConfig, folder: RunFolder) -> dict[str, Any]:
     from learning.training.trainer import resume, train
 
     if RunFolder.is_run(folder.path):
-        if folder.config() != config.with_mass(hands.config(config.env.scene.hand)):
+        if folder.config() != config.with_mass():
             raise InvalidInput(f"{folder.path} holds a run with another configuration")
         begun = folder.checkpoint_path.exists()
         _remark(f"the run goes on from {'its checkpoint' if begun else 'the beginning'}")

@@ -217,6 +217,25 @@ def test_a_training_that_is_there_is_gone_on_with(tmp_path: Path) -> None:
         (tmp_path / "feedback_x.json").unlink()
 
 
+def test_trainings_with_other_settings_are_not_written_over(tmp_path: Path) -> None:
+    """Their rows were dropped, those of variants that nobody had asked for again too."""
+    pytest.importorskip("torch", reason="needs the extra 'learning'")
+    path = tmp_path / "feedback.json"
+    before = (FOLDER / "results" / "feedback.json").read_bytes()
+    path.write_bytes(before)
+    arguments = ["--resume", "--variants", "joints", "--jobs", "1", "--out", tmp_path]
+    other = run("feedback.py", *arguments, "--steps", "300", "--runs", tmp_path / "runs")
+    assert other.returncode == 1
+    assert "(seed 0) was trained with other settings" in other.stderr.splitlines()[-1]
+    assert path.read_bytes() == before
+    # of the same ones all are there, though settings have come since
+    same = run("feedback.py", *arguments, "--steps", "400000", "--runs", tmp_path / "runs")
+    assert same.returncode == 0, same.stderr
+    rows = json.loads(path.read_text())["trials"]
+    assert [row | {"measured_with": None} for row in json.loads(before)["trials"]] == rows
+    assert not (tmp_path / "runs").exists()
+
+
 def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
     done = run("hands_turning.py", *SHORT, "--out", tmp_path, "--folder", tmp_path)
     assert done.returncode == 0, done.stderr
