@@ -44,7 +44,7 @@ def under(config: SceneConfig, *conditions: str) -> SceneConfig:
 
     Raises:
         UnknownName: no such conditions, and no such file; or a file has no such setting.
-        InvalidInput: the file is no toml, or a value is out of range.
+        InvalidInput: the file is no toml or sets nothing, or a value is out of range.
     """
     for name in conditions:
         if name in CONDITIONS:
@@ -63,8 +63,13 @@ def _settings(name: str) -> Mapping[str, Any]:
     if path.suffix != ".toml":
         raise UnknownName("conditions", name, [*CONDITIONS, "a .toml file"])
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        found = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InvalidInput(f"cannot read {path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InvalidInput(f"{path} is not TOML: {error}") from None
+    if not found:  # what is then tested would be called by its name all the same
+        raise InvalidInput(
+            f"{path} sets nothing; expected settings such as mass_range = [0.05, 0.2]"
+        )
+    return found

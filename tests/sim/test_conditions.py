@@ -44,6 +44,7 @@ def test_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
+        ("", "mine.toml sets nothing; expected settings such as mass_range"),
         ("mass = 1", "unknown setting of .*mine.toml 'mass'; known: hand"),
         ("object_mass = 'x'", "object_mass is 'x'; expected a number"),
         ("object_mass", "is not TOML"),
