@@ -30,8 +30,9 @@ from common import (
     write,
 )
 
-from dexctl.planning import Kinematic, Stability, grow, path_states
+from dexctl.planning import Kinematic, Stability, Tree, grow, path_states
 from dexctl.settings import changed, to_plain
+from dexctl.sim import Scene
 from dexctl.statistics import bootstrap
 from dexctl.validation import unit_axis
 from learning.config import TrainConfig, recipe
@@ -248,16 +249,29 @@ def trained(folder: Path, wanted: TrainConfig, given: Options) -> TrainConfig | 
     return RunFolder(folder).config()
 
 
+def tree_of(
+    task: Task,
+    seed: int,
+    nodes: int,
+    *,
+    seconds: float | None = None,
+    until_rotation: float | None = None,
+) -> tuple[Scene, Tree]:
+    """The scene of a task and a tree of it, which is done where `grow` says."""
+    (scene,) = changed(Protocol(), task.protocol).scene.scenes()
+    tree = grow(
+        scene, task.kinematic, nodes=max(nodes, 2), axis=unit_axis(task.axis), seed=seed,
+        stability=task.stability, seconds=seconds, until_rotation=until_rotation,
+    )  # fmt: skip
+    return scene, tree
+
+
 def guiding_tree(name: str, task: Task, given: Options, seed: int) -> Path:
     """File of a tree that turns the object once, to be followed."""
     path = given.runs / f"tree-{name}-{seed}.npz"
     if not path.exists():
+        _, tree = tree_of(task, seed, given.tree_nodes, until_rotation=FULL_TURN)
         path.parent.mkdir(parents=True, exist_ok=True)
-        (scene,) = changed(Protocol(), task.protocol).scene.scenes()
-        tree = grow(
-            scene, task.kinematic, nodes=max(given.tree_nodes, 2), until_rotation=FULL_TURN,
-            axis=unit_axis(task.axis), seed=seed, stability=task.stability,
-        )  # fmt: skip
         tree.save(path)
     return path
 
@@ -266,12 +280,8 @@ def held_out(name: str, task: Task, given: Options) -> Path:
     """File of grasps on the paths of another tree."""
     path = given.runs / f"held-out-{name}-{given.seed + _HELD_OUT}.npz"
     if not path.exists():
+        scene, tree = tree_of(task, given.seed + _HELD_OUT, given.tree_nodes // 4, seconds=60.0)
         path.parent.mkdir(parents=True, exist_ok=True)
-        (scene,) = changed(Protocol(), task.protocol).scene.scenes()
-        tree = grow(
-            scene, task.kinematic, nodes=max(given.tree_nodes // 4, 2), seconds=60.0,
-            axis=unit_axis(task.axis), seed=given.seed + _HELD_OUT, stability=task.stability,
-        )  # fmt: skip
         path_states(tree, _STARTS, goals="even", scene=scene).save(path)
     return path
 

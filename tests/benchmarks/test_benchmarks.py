@@ -62,7 +62,7 @@ RUNS: dict[str, list[str]] = {
     ],
     "starts.py": [
         *(*SHORT, "--steps", "300", "--ppo-steps", "300", "--num-envs", "4", "--tree-nodes", "60"),
-        *("--tasks", "l", "--methods", "rxr_ipt", "policy"),
+        *("--tasks", "l", "--methods", "rxr_ipt", "tree", "vge_tree", "policy"),
     ],
     "algorithms.py": [
         *("--seeds", "1", "--share", "0.001", "--episodes", "2"),
