@@ -210,6 +210,7 @@ class Algorithm(ABC):
         kept = {name: own[name] for name in self._of_the_run}
         self.load_state_dict({**saved, **kept, "steps": 0, "updates": 0, "statistics": {}})
 
+    @abstractmethod
     def begin_with(self, policy: Layers) -> None:
         """Begin with a policy alone; what it is worth has to be learned first.
 
@@ -217,13 +218,8 @@ class Algorithm(ABC):
             policy: as `policy_layers` gave them.
 
         Raises:
-            InvalidInput: it is of another shape, or the settings leave no time to learn its worth,
-                or the algorithm needs more than a policy.
+            InvalidInput: it is of another shape, or the settings leave no time to learn its worth.
         """
-        raise InvalidInput(
-            f"the algorithm is {self.name}, which does not begin with a policy alone; expected sac "
-            "or td3, or the folder of a run with a checkpoint"
-        )
 
     @abstractmethod
     def _state(self) -> dict[str, Any]:

@@ -158,8 +158,8 @@ class PPOConfig:
     max_gradient: float = 1.0
     """Longest gradient, of the actor and of the critic each."""
     critic_steps: int = 0
-    """Environment steps in which only the critic learns, after imitation; 2 million in the
-    thesis."""
+    """Environment steps in which only the critic learns, after imitation (2 million in the thesis)
+    or where a run begins with a policy's file."""
     initial_deviation: float = 0.5
     """First standard deviation of the actions, in units of [-1, 1]."""
     network: tuple[int, ...] = (256, 256)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from torch.nn import functional
 
 from dexctl.exceptions import InvalidInput
+from learning.algorithms.base import Layers
 from learning.algorithms.perceptrons import Perceptrons
 
 LOG_STD_LOWEST, LOG_STD_HIGHEST = -20.0, 2.0
@@ -35,7 +35,7 @@ def squashed_sample(
     return action, (density - bend).sum(dim=1, keepdim=True)
 
 
-def layers(actor: Perceptrons, outputs: int) -> list[tuple[np.ndarray, np.ndarray]]:
+def layers(actor: Perceptrons, outputs: int) -> Layers:
     """(weight, bias) of each layer, of the last one the first ``outputs`` rows."""
     found = [
         (weight[0].detach().cpu().numpy().copy(), bias[0].detach().cpu().numpy().copy())
@@ -43,6 +43,22 @@ def layers(actor: Perceptrons, outputs: int) -> list[tuple[np.ndarray, np.ndarra
     ]
     weight, bias = found[-1]
     return [*found[:-1], (weight[:outputs], bias[:outputs])]
+
+
+def take_layers(actor: Perceptrons, policy: Layers, outputs: int) -> None:
+    """Give an actor's first ``outputs`` outputs the layers of a policy; others stay as they are.
+
+    Raises:
+        InvalidInput: they are of another shape; nothing was changed.
+    """
+    found = [policy[0][0].shape[1], *(len(bias) for _, bias in policy)]
+    own = [*actor.widths[:-1], outputs]
+    if found != own:
+        raise InvalidInput(f"the policy has layers of {found}; expected {own}")
+    with torch.no_grad():
+        for i, (weight, bias) in enumerate(policy):
+            actor.weights[i][0, : len(bias)] = torch.as_tensor(weight)
+            actor.biases[i][0, : len(bias)] = torch.as_tensor(bias)
 
 
 def numbers(networks: Mapping[str, Perceptrons]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from learning.algorithms.base import (
     columns,
 )
 from learning.algorithms.losses import cloning_weight
-from learning.algorithms.networks import layers, numbers, restore
+from learning.algorithms.networks import layers, numbers, restore, take_layers
 from learning.algorithms.perceptrons import Perceptrons
 from learning.algorithms.replay import Batch, Replay
 
@@ -182,14 +182,8 @@ class OffPolicy(Algorithm):
                 f"learn before its actor does: expected more than learning_starts, "
                 f"{config.learning_starts}, such as 100000"
             )
-        found = [policy[0][0].shape[1], *(len(bias) for _, bias in policy)]
-        own = [*self.actor.widths[:-1], d]
-        if found != own:
-            raise InvalidInput(f"the policy has layers of {found}; expected {own}")
+        take_layers(self.actor, policy, d)
         with torch.no_grad():
-            for i, (weight, bias) in enumerate(policy):
-                self.actor.weights[i][0, : len(bias)] = self._tensor(weight)
-                self.actor.biases[i][0, : len(bias)] = self._tensor(bias)
             self.actor.weights[-1][0, d:] = 0.0
             self.actor.biases[-1][0, d:] = self._beside_the_mean()
             for name in ("averaged_actor", "actor_target"):

@@ -26,7 +26,7 @@ from learning.algorithms.losses import (
     squared_cloning,
     value_loss,
 )
-from learning.algorithms.networks import layers, numbers, restore
+from learning.algorithms.networks import layers, numbers, restore, take_layers
 from learning.algorithms.normalisation import Normalisation
 from learning.algorithms.perceptrons import Perceptrons
 from learning.algorithms.rollout_buffer import RolloutBuffer, advantages
@@ -78,7 +78,7 @@ class PPO(Algorithm):
             )
         self.config, self.device, self.num_envs = config, device, num_envs
         self.action_size = action_size
-        self._columns = dict(zip(("policy", "critic"), parts, strict=True))
+        self._columns: dict[str, slice] = dict(zip(("policy", "critic"), parts, strict=True))
         sizes = {n: len(range(*c.indices(observation_size))) for n, c in self._columns.items()}
         self._random = torch.Generator(device).manual_seed(seed)
         kwargs: Any = {"generator": self._random, "device": device}
@@ -91,7 +91,10 @@ class PPO(Algorithm):
         self.log_std = log_std.requires_grad_()
         self.networks = {"actor": self.actor, "critic": self.critic}
         self.optimizer = torch.optim.Adam(self._weights, config.learning_rate, fused=True)
-        self.normalisations = {name: Normalisation(size) for name, size in sizes.items()}
+        self._sizes = sizes
+        self.normalisations = {
+            n: Normalisation(size) for n, size in sizes.items() if config.normalise
+        }
         single = ("log_prob", "value", "next_value", "reward", "terminated", "ended")
         self.rollout = RolloutBuffer(
             config.rollout_steps,
@@ -107,9 +110,12 @@ class PPO(Algorithm):
     def _inputs(self, observation: np.ndarray) -> dict[str, np.ndarray]:
         """What actor and critic are given of observations, by group."""
         parts = {name: observation[:, c].astype(np.float32) for name, c in self._columns.items()}
-        if not self.config.normalise:
-            return parts
-        return {name: self.normalisations[name](part) for name, part in parts.items()}
+        return parts | {n: one(parts[n]) for n, one in self.normalisations.items()}
+
+    def _see(self, observation: np.ndarray) -> None:
+        """Let the normalisations take observations into account."""
+        for name, one in self.normalisations.items():
+            one.see(observation[:, self._columns[name]])
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(array, dtype=torch.float32, device=self.device)
@@ -127,9 +133,7 @@ class PPO(Algorithm):
         seed: int,
     ) -> None:
         """By the squared error of the mean action (thesis chapter 5, Alg. IPT)."""
-        if self.config.normalise:
-            for name, part in self._columns.items():
-                self.normalisations[name].see(observation[:, part])
+        self._see(observation)
         seen = self._tensor(self._inputs(observation)["policy"])
         wanted = self._tensor(action)
         optimizer = torch.optim.Adam([self.actor.flat], 1e-3)
@@ -145,9 +149,7 @@ class PPO(Algorithm):
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """As of every algorithm; densities and values are kept for the `observe` that follows."""
-        if self.config.normalise:
-            for name, part in self._columns.items():
-                self.normalisations[name].see(observation[:, part])
+        self._see(observation)
         inputs = self._inputs(observation)
         with torch.no_grad():
             mean = torch.tanh(self.actor(self._tensor(inputs["policy"]))[0])
@@ -237,9 +239,19 @@ class PPO(Algorithm):
 
     def policy_layers(self) -> Layers:
         found = layers(self.actor, self.action_size)
-        if self.config.normalise:
+        if "policy" in self.normalisations:
             found[0] = self.normalisations["policy"].fold(*found[0])
         return found
+
+    def begin_with(self, policy: Layers) -> None:
+        """As of every algorithm; the actor takes observations as the policy does from then on."""
+        if not self.config.critic_steps:
+            raise InvalidInput(
+                "critic_steps is 0; the critic of a policy alone has to learn before its actor "
+                "does: expected some, such as 500000"
+            )
+        take_layers(self.actor, policy, self.action_size)
+        self.normalisations.pop("policy", None)
 
     @property
     def diverged(self) -> bool:
@@ -257,8 +269,11 @@ class PPO(Algorithm):
 
     def _load_state(self, saved: Mapping[str, Any]) -> None:
         restore(self.networks, saved["networks"])
+        # an actor that began with a policy has none; earlier versions kept them where none is used
+        kept = saved["normalisations"] if self.config.normalise else {}
+        self.normalisations = {name: Normalisation(self._sizes[name]) for name in kept}
         for name, one in self.normalisations.items():
-            one.load_state_dict(saved["normalisations"][name])
+            one.load_state_dict(kept[name])
         self.rollout.load_state_dict(saved["rollout"])
         with torch.no_grad():
             self.log_std.copy_(saved["log_std"])

@@ -181,6 +181,19 @@ def test_interrupted_run_goes_on(tmp_path: Path) -> None:
     assert len(rows) == 2 * len(first)
 
 
+def test_a_row_of_more_episodes_takes_the_place_of_fewer(tmp_path: Path) -> None:
+    """All rows of a result had to have as many, so that none could have the 500 of a goal."""
+    pytest.importorskip("torch", reason="needs the extra 'learning'")
+    arguments = [*SHORT, "--who", "igm", "--objects", "cube", "--picture", "None"]
+    arguments += ["--out", tmp_path, "--resume", "--conditions"]
+    for trials, conditions, expected in ((2, ("up", "down"), [2, 2]), (3, ("down",), [2, 3])):
+        done = run("conditions.py", *arguments, *conditions, "--trials", str(trials))
+        assert done.returncode == 0, done.stderr
+        rows = json.loads((tmp_path / "conditions.json").read_text())["trials"]
+        assert [row["holding"]["of"] for row in rows] == expected
+    assert [row["condition"] for row in rows] == ["up", "down"]
+
+
 def test_trainings_of_another_seed_stand_beside_the_first(tmp_path: Path) -> None:
     """They were written over."""
     pytest.importorskip("torch", reason="needs the extra 'learning'")

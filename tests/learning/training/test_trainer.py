@@ -24,6 +24,7 @@ from dexctl import hands
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import absolute, changed
 from learning import policies
+from learning.algorithms import PPO
 from learning.algorithms.off_policy import OffPolicy
 from learning.config import TrainConfig
 from learning.training import trainer as module
@@ -368,6 +369,39 @@ def test_a_run_may_begin_with_a_policy_whose_worth_is_learned_first(
     trainer.close()
 
 
+def test_ppo_may_begin_with_a_policy(tmp_path: Path, small: Make) -> None:
+    """It was refused. What a policy is worth is not in its file, so the critic learns first."""
+    train(small(method="rl", steps=40), tmp_path / "first")
+    begun = policies.load(tmp_path / "first")
+    config = small(
+        method="rl", algorithm="ppo", steps=320, begin_from=tmp_path / "first" / "policy.npz",
+        ppo__critic_steps=160, ppo__rollout_steps=8, ppo__initial_deviation=0.1,
+    )  # fmt: skip
+    trainer = Trainer(config, RunFolder(tmp_path / "second"))
+    trainer.begin()
+    assert isinstance(trainer.algorithm, PPO)
+    critic = trainer.algorithm.critic.flat.clone()
+    group = trainer.algorithm.optimizer.param_groups[0]
+    with ThreadPoolExecutor(1) as pool:
+        while trainer.algorithm.steps < 160:
+            trainer.turn(pool)
+        for own, other in zip(trainer.algorithm.policy_layers(), begun.layers, strict=True):
+            np.testing.assert_array_equal(own[0], other.weight)
+            np.testing.assert_array_equal(own[1], other.bias)
+        assert not torch.equal(critic, trainer.algorithm.critic.flat)
+        assert group["lr"] == config.ppo.learning_rate
+        # a checkpoint knows that the actor takes observations as they are
+        other = Trainer(config, RunFolder(tmp_path / "third"))
+        other.algorithm.load_state_dict(trainer.algorithm.state_dict())
+        assert isinstance(other.algorithm, PPO)
+        assert set(other.algorithm.normalisations) == {"critic"}
+        other.close()
+        while trainer.algorithm.steps < 320:
+            trainer.turn(pool)
+    assert not np.array_equal(trainer.algorithm.policy_layers()[0][0], begun.layers[0].weight)
+    trainer.close()
+
+
 def test_a_policy_to_begin_with_keeps_its_name_and_a_run_is_absolute(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     for given, expected in (
@@ -387,7 +421,7 @@ def test_a_policy_to_begin_with_keeps_its_name_and_a_run_is_absolute(tmp_path: P
         ({"sac__network": (64,)}, r"layers of .65, 256, 256, 15.; expected .65, 64, 15."),
         ({"max_speed": 1.0}, "the policy has max_speed 2.0; expected 1.0"),
         ({"parts": ("q", "q_target")}, "the policy has parts .*; expected .'q', 'q_target'."),
-        ({"algorithm": "ppo"}, "the algorithm is ppo, which does not begin with a policy alone"),
+        ({"algorithm": "ppo"}, "critic_steps is 0; .* expected some, such as 500000"),
     ],
 )
 def test_a_policy_that_a_run_cannot_begin_with(
