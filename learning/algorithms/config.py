@@ -144,6 +144,9 @@ class PPOConfig:
     """Learning rate of actor and critic; where it adapts, the first one."""
     learning_rate_end: float | None = None
     """What the learning rate falls to, linearly over the training; none: it stays."""
+    critic_learning_rate: float | None = None
+    """Of the critic alone, which stays; none: the actor's. A policy that began elsewhere may stand
+    a hundredth of what a critic needs that begins at random."""
     target_kl: float | None = 0.01
     """The rate adapts so that a minibatch changes the policy by about this; none: it does not."""
     clip: float = 0.2
@@ -175,7 +178,7 @@ class PPOConfig:
             not_negative=("entropy_coefficient",),
             fractions=("gamma", "gae_lambda"),
         )
-        for name in ("target_kl", "value_clip"):
+        for name in ("critic_learning_rate", "target_kl", "value_clip"):
             if getattr(self, name) is not None:
                 check_numbers(self, positive=(name,))
         if self.learning_rate_end is not None:

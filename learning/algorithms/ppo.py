@@ -90,7 +90,12 @@ class PPO(Algorithm):
         log_std = torch.full((action_size,), float(np.log(config.initial_deviation)), device=device)
         self.log_std = log_std.requires_grad_()
         self.networks = {"actor": self.actor, "critic": self.critic}
-        self.optimizer = torch.optim.Adam(self._weights, config.learning_rate, fused=True)
+        own_rate = config.critic_learning_rate
+        parts_of: Any = self._weights
+        if own_rate is not None:
+            *actor, critic = self._weights
+            parts_of = [{"params": actor}, {"params": [critic], "lr": own_rate}]
+        self.optimizer = torch.optim.Adam(parts_of, config.learning_rate, fused=True)
         self._sizes = sizes
         self.normalisations = {
             n: Normalisation(size) for n, size in sizes.items() if config.normalise

@@ -92,6 +92,11 @@ RUNS: dict[str, list[str]] = {
     ],
 }
 
+LONGER = {  # than 10 s on a quiet machine, however little they are asked for
+    "algorithms.py", "compiled_or_plain.py", "feedback.py", "goal_policies.py", "hands.py",
+    "hands_learned.py", "learning_ablation.py", "planning.py", "touch.py",
+}  # fmt: skip
+
 FIRST_SEEDS = {  # of those that do not begin with 0
     "gaits_long": 100,
     "predictive_sampling": 100,
@@ -120,7 +125,10 @@ def test_every_script_is_run_here() -> None:
     assert scripts == set(RUNS)
 
 
-@pytest.mark.parametrize("script", RUNS)
+@pytest.mark.parametrize(
+    "script",
+    [pytest.param(s, marks=[pytest.mark.slow] if s in LONGER else []) for s in RUNS],
+)
 def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     arguments = [*RUNS[script], "--out", tmp_path]
     if script in ("bus.py", "hardware_loop.py", "hardware_grasp.py", "servo_hand.py"):
@@ -215,6 +223,7 @@ def test_trainings_of_another_seed_stand_beside_the_first(tmp_path: Path) -> Non
     assert figure["measured"].startswith("interquartile mean of 2 seeds' medians")
 
 
+@pytest.mark.slow
 def test_a_training_that_is_there_is_gone_on_with(tmp_path: Path) -> None:
     """Its configuration says the object's mass, which the one that was asked for did not."""
     pytest.importorskip("torch", reason="needs the extra 'learning'")

@@ -175,8 +175,26 @@ def test_what_is_not_reached_is_said(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert len(Tree.load(out)) == 1
 
 
+GOAL = ["--goals.orientations", "0.9553,0,0,0.2955"]
+
+
+@pytest.mark.parametrize(
+    ("more", "wanted"),
+    [
+        ([], (2 * np.pi, 600.0)),
+        (["--until-rotation", "3"], (3.0, 600.0)),
+        (["--nodes", "5"], (None, None)),
+        pytest.param(["--seconds", "0.2"], (None, 0.2), marks=pytest.mark.slow),
+        pytest.param(GOAL, (None, 60.0), marks=pytest.mark.slow),
+        pytest.param(["--until-rotation", "6", *GOAL], (6.0, 600.0), marks=pytest.mark.slow),
+    ],
+)
 def test_a_full_turn_has_some_minutes_where_nobody_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    more: list[str],
+    wanted: tuple[float | None, float | None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """What could not be turned so far was tried for ever."""
     ends: list[tuple[float | None, float | None]] = []
@@ -186,22 +204,13 @@ def test_a_full_turn_has_some_minutes_where_nobody_says(
         return grow(*arguments, **{**keywords, "seconds": 0.2})
 
     monkeypatch.setattr("dexctl.cli.plan.grow", soon)
-    goal = ["--goals.orientations", "0.9553,0,0,0.2955"]
     words = ["plan", "--expand", "kinematic", "--object", "cylinder", "--threads", "1"]
-    for i, (more, wanted) in enumerate((
-        ([], (2 * np.pi, 600.0)),
-        (["--until-rotation", "3"], (3.0, 600.0)),
-        (["--nodes", "5"], (None, None)),
-        (["--seconds", "0.2"], (None, 0.2)),
-        (goal, (None, 60.0)),
-        (["--until-rotation", "6", *goal], (6.0, 600.0)),
-    )):  # fmt: skip
-        main([*words, *more, "--out", str(tmp_path / str(i))])
-        said = " ".join(capsys.readouterr().err.split())
-        assert ends.pop() == wanted
-        if not more:
-            assert "--until-rotation 6.28 is not reached in 600 s: the greatest" in said
-            assert "% of the candidates accepted" in said
+    main([*words, *more, "--out", str(tmp_path / "plan")])
+    said = " ".join(capsys.readouterr().err.split())
+    assert ends.pop() == wanted
+    if not more:
+        assert "--until-rotation 6.28 is not reached in 600 s: the greatest" in said
+        assert "% of the candidates accepted" in said
 
 
 def test_the_line_below_the_bar_says_why_candidates_are_refused() -> None:

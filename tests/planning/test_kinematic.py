@@ -151,6 +151,7 @@ def test_a_root_that_nothing_leads_away_from_is_given_up(tmp_path: Path) -> None
     assert len(Tree.load(path)) == 1
 
 
+@pytest.mark.slow
 def test_about_x_more_may_be_left_to_friction() -> None:
     cube = Scene.build("dex5", "cube", "up")
     default, same, strict = (

@@ -100,6 +100,29 @@ def test_an_update_every_so_many_steps() -> None:
     assert fixed.optimizer.param_groups[0]["lr"] == 1e-3  # left was 1 when the update was due
 
 
+def test_the_critic_may_have_a_rate_of_its_own() -> None:
+    """The actor's adapts, the critic's stays; steps of Adam are about as long as the rate."""
+    agent = make(critic_learning_rate=0.5, learning_rate=1e-3, epochs=2, minibatches=1)
+    rng = np.random.default_rng(0)
+    before = [weight.detach().clone() for weight in agent._weights]
+    for _ in range(4):
+        step(agent, rng)
+    actor, _, critic = (
+        float((new.detach() - old).abs().max())
+        for new, old in zip(agent._weights, before, strict=True)
+    )
+    assert agent.updates == 2
+    assert 0.9e-3 < actor < 2.6e-3 and 0.45 < critic < 1.1
+    for _ in range(8):
+        step(agent, rng)
+    rates = [group["lr"] for group in agent.optimizer.param_groups]
+    assert rates[0] != 1e-3 and rates[1] == 0.5
+    saved = agent.state_dict()
+    other = make(critic_learning_rate=0.5)
+    other.load_state_dict(saved)
+    assert [group["lr"] for group in other.optimizer.param_groups] == rates
+
+
 def test_values_follow_rewards_of_any_size() -> None:
     """A value may move further than the ratio of densities may, in whatever unit rewards are."""
 

@@ -106,6 +106,7 @@ def hold(tmp_path: Path, name: str = "hold") -> Job:
     return replace(job, name=name, folder=job.folder.with_name(name))
 
 
+@pytest.mark.slow  # test_a_killed_sweep_continues is quick
 def test_killed_and_started_again(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

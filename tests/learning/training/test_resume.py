@@ -117,6 +117,7 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path: Path) -> None:
     equal_runs(whole, killed)
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_with_the_fast_recipe(tmp_path: Path) -> None:
     """Returns of several steps, a mean of actors, a rate that falls with the steps, a history."""
     options = ["fast" if option == "thesis" else option for option in OPTIONS]
