@@ -97,7 +97,7 @@ class Options(Settings):
     seed: int = 20_000
     """First seed; trial i has the seed seed + i. Nothing was chosen by these."""
     trials: int = 100
-    """Episodes for each object."""
+    """Episodes for each object; with --resume a row of at least so many stays."""
     seconds: float = 60.0
     """Of each, but for endurance."""
     endurance: int = 40

@@ -168,7 +168,8 @@ class PPOConfig:
     network: tuple[int, ...] = (256, 256)
     """Hidden layers of actor and critic."""
     normalise: bool = True
-    """Whether observations are normalised by their running mean and deviation."""
+    """Whether observations are normalised by their running mean and deviation; not the actor's
+    where it began with a policy's file, which takes them as they are."""
 
     def __post_init__(self) -> None:
         check_whole(self, rollout_steps=1, epochs=1, minibatches=1, critic_steps=0)

@@ -50,7 +50,8 @@ class PPO(Algorithm):
         device: that the updates run on.
     """
 
-    _of_the_run: ClassVar[tuple[str, ...]] = ("random", "rollout")
+    # the rate that adapted is the optimiser's
+    _of_the_run: ClassVar[tuple[str, ...]] = ("random", "rollout", "optimizer")
     overlaps: ClassVar[bool] = False
     name: ClassVar[str] = "ppo"
 
@@ -90,12 +91,14 @@ class PPO(Algorithm):
         log_std = torch.full((action_size,), float(np.log(config.initial_deviation)), device=device)
         self.log_std = log_std.requires_grad_()
         self.networks = {"actor": self.actor, "critic": self.critic}
-        own_rate = config.critic_learning_rate
-        parts_of: Any = self._weights
-        if own_rate is not None:
+        optimised: list[Any] = self._weights
+        if config.critic_learning_rate is not None:
             *actor, critic = self._weights
-            parts_of = [{"params": actor}, {"params": [critic], "lr": own_rate}]
-        self.optimizer = torch.optim.Adam(parts_of, config.learning_rate, fused=True)
+            optimised = [
+                {"params": actor},
+                {"params": [critic], "lr": config.critic_learning_rate},
+            ]
+        self.optimizer = torch.optim.Adam(optimised, config.learning_rate, fused=True)
         self._sizes = sizes
         self.normalisations = {
             n: Normalisation(size) for n, size in sizes.items() if config.normalise

@@ -24,7 +24,7 @@ from dexctl import hands
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import absolute, changed
 from learning import policies
-from learning.algorithms import PPO
+from learning.algorithms import PPO, Algorithm
 from learning.algorithms.off_policy import OffPolicy
 from learning.config import TrainConfig
 from learning.training import trainer as module
@@ -337,6 +337,31 @@ def test_a_run_that_begins_with_a_policy_acts_by_it_from_the_first_step(
     assert (acted == 0.25).all() == begins
 
 
+@pytest.mark.parametrize("rate", [None, 5e-4])
+def test_rates_are_those_of_the_run_that_begins(
+    rate: float | None, tmp_path: Path, small: Make
+) -> None:
+    """PPO took over the other run's rate, and one group of weights for two was a traceback."""
+    ppo = {"method": "rl", "algorithm": "ppo", "steps": 80, "ppo__rollout_steps": 8}
+    train(small(**ppo), tmp_path / "first")
+    config = small(
+        **ppo, begin_from=tmp_path / "first", ppo__target_kl=None, ppo__learning_rate=1e-5,
+        ppo__critic_learning_rate=rate,
+    )  # fmt: skip
+    trainer = Trainer(config, RunFolder(tmp_path / "second"))
+    trainer.begin()
+    assert isinstance(trainer.algorithm, PPO)
+    found = [group["lr"] for group in trainer.algorithm.optimizer.param_groups]
+    trainer.close()
+    assert found == ([1e-5] if rate is None else [1e-5, rate])
+
+
+def equal_layers(algorithm: Algorithm, policy: policies.Policy) -> None:
+    for own, other in zip(algorithm.policy_layers(), policy.layers, strict=True):
+        np.testing.assert_array_equal(own[0], other.weight)
+        np.testing.assert_array_equal(own[1], other.bias)
+
+
 @pytest.mark.parametrize("algorithm", ["sac", "td3"])
 def test_a_run_may_begin_with_a_policy_whose_worth_is_learned_first(
     algorithm: str, tmp_path: Path, small: Make
@@ -354,9 +379,7 @@ def test_a_run_may_begin_with_a_policy_whose_worth_is_learned_first(
     with ThreadPoolExecutor(1) as pool:
         while trainer.algorithm.steps < 80:
             trainer.turn(pool)
-        for own, other in zip(trainer.algorithm.policy_layers(), begun.layers, strict=True):
-            np.testing.assert_array_equal(own[0], other.weight)
-            np.testing.assert_array_equal(own[1], other.bias)
+        equal_layers(trainer.algorithm, begun)
         assert not torch.equal(critics, trainer.algorithm.networks["critic"].flat)
         seen = np.zeros((trainer.env.num_envs, trainer.env.observations[0].size), np.float32)
         drawn = np.array([trainer.algorithm.act(seen) for _ in range(200)])
@@ -385,9 +408,7 @@ def test_ppo_may_begin_with_a_policy(tmp_path: Path, small: Make) -> None:
     with ThreadPoolExecutor(1) as pool:
         while trainer.algorithm.steps < 160:
             trainer.turn(pool)
-        for own, other in zip(trainer.algorithm.policy_layers(), begun.layers, strict=True):
-            np.testing.assert_array_equal(own[0], other.weight)
-            np.testing.assert_array_equal(own[1], other.bias)
+        equal_layers(trainer.algorithm, begun)
         assert not torch.equal(critic, trainer.algorithm.critic.flat)
         assert group["lr"] == config.ppo.learning_rate
         # a checkpoint knows that the actor takes observations as they are
