@@ -141,7 +141,7 @@ class JointTouch:
                 for name, value in now.items()
             }
         self._past = now
-        return replace(state, **found._asdict())
+        return replace(state, **found._asdict(), normals_felt=False)
 
     def _begin(self, state: GraspState, torque: Floats) -> dict[str, np.ndarray]:
         return {

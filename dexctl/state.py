@@ -43,6 +43,8 @@ class GraspState:
         goal_angular_velocity: how the object is wanted to turn, ``(..., 3)`` [rad/s], or None.
         time: when the state was taken, ``(...)`` or one number for all [s].
         age: how old its oldest part is, ``(...)`` or one number for all [s].
+        normals_felt: whether the contacts' normals were felt, ``(...)`` or one for all; where they
+            are told from joints or switches they point to the middle, however a face leans.
 
     Raises:
         InvalidInput: shapes that do not belong together; the message names the field.
@@ -61,6 +63,7 @@ class GraspState:
     goal_angular_velocity: Floats | None = None
     time: Floats | float = 0.0
     age: Floats | float = 0.0
+    normals_felt: Bools | bool = True
 
     def __post_init__(self) -> None:
         q = _array(self, "q")
@@ -82,9 +85,9 @@ class GraspState:
             _expect(self, "goal_quaternion", (*batch, 4))
         if self.goal_angular_velocity is not None:
             _expect(self, "goal_angular_velocity", (*batch, 3))
-        for name in ("time", "age"):
+        for name in ("time", "age", "normals_felt"):
             value = getattr(self, name)
-            if type(value) is not float:
+            if type(value) is not float and type(value) is not bool:
                 shape = np.shape(value)
                 _check_shape(self, name, shape, batch if shape else ())
 
@@ -220,7 +223,7 @@ class GraspState:
         found = estimate_touch(
             hand, joints["q"], pressing, settings, **known, object_position=place
         )
-        return cls(**joints, **found._asdict(), **pose)
+        return cls(**joints, **found._asdict(), **pose, normals_felt=False)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:

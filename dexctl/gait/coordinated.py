@@ -61,6 +61,10 @@ class CoordinatedGaitConfig:
     level: float = 0.0
     """Share of the height by which a finger touched above or below the object's centre that is
     made up where it next lands: fingertips that are not round do not touch at their tip point."""
+    cradle: float = 0.01
+    """Where neither a tracker nor normals that are felt tell it, fingers land this far below the
+    object's centre, along gravity if a state has that [m]: the object rests in them. From faces
+    that lean, unseen, it would slip down a little with every switch."""
     pause: float = 0.1
     """Between two switches of a hand [s]."""
     friction: float = 0.8
@@ -84,6 +88,7 @@ class CoordinatedGaitConfig:
                 "swing",
                 "least_travel",
                 "spacing",
+                "cradle",
                 "pause",
                 "hold_force",
                 "residual_weight",
@@ -136,6 +141,7 @@ _FEW: dict[str, Any] = {
     "most_travel": 0.33,
     "slow_down": 0.1,
     "pause": 0.05,
+    "cradle": 0.0,  # spheres alone are turned so far, which it presses out of four fingers
     "follow": False,  # following it lost cubes: 4 of 16 more on the LEAP, 5 on the Shadow hand
     "level": 0.5,
     "hold_force": 0.15,
@@ -157,6 +163,7 @@ class CoordinatedGaitChanges(TypedDict, total=False):
     spacing: float
     follow: bool
     level: float
+    cradle: float
     pause: float
     friction: float
     hold_force: float
@@ -292,7 +299,9 @@ class CoordinatedGait(BatchController):
         now = self.hand.configuration(state.q)
         tip = now.fingertip_position
         self._meet(state, tip)
+        below = np.zeros(len(state.q))
         if state.object_position is None:
+            below = self._below(state)
             odometry = self._odometry
             odometry.update(state, now, state.in_contact & ~self.switch.released)
             state = replace(
@@ -311,14 +320,14 @@ class CoordinatedGait(BatchController):
         point = np.where(state.in_contact[..., None], state.contact_position, tip)
         firm = state.in_contact & (state.contact_force > self.config.hold_force)
         grasps = Grasps(point, normal, state.in_contact, firm, origin)
-        self._begin_and_aim(grasps, angle, flat)
+        self._begin_and_aim(grasps, angle, flat, below)
 
         def may_lift(rows: np.ndarray, finger: np.ndarray) -> np.ndarray:
             return holds_without(grasps.of(rows), finger, self.config.friction)
 
         placing = self.switch.phase == Phase.PLACE
         switching = self.switch.command(state, now, origin, may_lift)
-        self._level(placing & (self.switch.phase == Phase.LOAD), point - origin[:, None])
+        self._level(placing & (self.switch.phase == Phase.LOAD), point - origin[:, None], below)
         switching = self._limits(state.q, state.q_target, switching)
         released = self.switch.released
         furthest = np.where(state.in_contact & ~released, angle, -np.inf).max(axis=1)
@@ -387,7 +396,16 @@ class CoordinatedGait(BatchController):
         self._direction = np.ones(count)
         return self._fresh
 
-    def _begin_and_aim(self, grasps: Grasps, angle: Floats, flat: Floats) -> None:
+    def _below(self, state: GraspState) -> Floats:
+        """How far along the axis fingers cradle objects that nothing tracks, ``(N,)`` [m]."""
+        gravity = state.gravity
+        if gravity is None:
+            return np.zeros(len(state.q))
+        size = np.sqrt((gravity * gravity).sum(axis=-1))
+        down = (gravity @ self.axis) / np.maximum(size, 1e-9)
+        return np.where(state.normals_felt, 0.0, self.config.cradle * down)
+
+    def _begin_and_aim(self, grasps: Grasps, angle: Floats, flat: Floats, below: Floats) -> None:
         """Begin switches where a finger can be spared; keep all landings off the fingers behind.
 
         Those come on with the object while a finger is in the air: a landing that stayed where it
@@ -404,7 +422,8 @@ class CoordinatedGait(BatchController):
         aimed = ~begin & (self.config.follow | (place > self._aim))
         self._aim = np.where(begin | aimed, place, self._aim)
         direction = turned(self._neutral[rows, finger], self._direction * self._aim, self.axis)
-        middle = grasps.origin + self._height[rows, finger, None] * self.axis
+        height = below + self._height[rows, finger]
+        middle = grasps.origin + height[:, None] * self.axis
         landing = landing_at(middle, direction, self._radius)
         self.switch.aim(grasps.origin, landing, aimed)
         self.switch.begin(begin, finger, grasps.origin, landing)
@@ -430,11 +449,11 @@ class CoordinatedGait(BatchController):
             begin[ready], finger[ready] = choice.found, choice.finger
         return begin, finger
 
-    def _level(self, landed: np.ndarray, lever: Floats) -> None:
-        """Have fingers that just landed come down nearer to the centre's height the next time."""
+    def _level(self, landed: np.ndarray, lever: Floats, below: Floats) -> None:
+        """Have fingers that just landed come down nearer to the wanted height the next time."""
         rows = np.flatnonzero(landed)
         finger = self.switch.finger[rows]
-        missed = lever[rows, finger] @ self.axis
+        missed = lever[rows, finger] @ self.axis - below[rows]
         height = self._height[rows, finger] - self.config.level * missed
         self._height[rows, finger] = np.clip(height, -_MOST_HEIGHT, _MOST_HEIGHT)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from dexctl.gait.selection import Grasps, choose
 from dexctl.grasp import is_force_closure
 from dexctl.hand_config import HeldObject
 from dexctl.igm import InGraspManipulationConfig
-from dexctl.sim import BatchSimulator, Scene
+from dexctl.sim import BatchSimulator, Scene, SceneConfig, Sensing, Simulation
 from dexctl.sim.trial import Trace, rotation_about, run
 from dexctl.switch import GuardedSwitchConfig, Phase
 
@@ -229,7 +229,7 @@ def test_a_full_turn_of_the_cylinder(cylinder):
 # -- settings -----------------------------------------------------------------------------------
 
 POSITIVE = ("most_travel", "slow_down", "friction", "residual_limit")
-NOT_NEGATIVE = ("swing", "least_travel", "pause", "hold_force", "residual_weight")
+NOT_NEGATIVE = ("swing", "least_travel", "cradle", "pause", "hold_force", "residual_weight")
 
 
 @pytest.mark.parametrize("field", [*POSITIVE, *NOT_NEGATIVE])
@@ -299,7 +299,7 @@ def test_landings_make_up_for_the_height_by_which_a_finger_missed_the_centre(cub
     gait.switch.finger[:] = (1, 3)
     expected = np.zeros((2, 5))
     for height in (-0.005, -0.01, -0.015, -0.02, -0.02):  # half of what it missed, within limits
-        gait._level(np.array([True, False]), lever)
+        gait._level(np.array([True, False]), lever, np.zeros(2))
         expected[0, 1] = height
         np.testing.assert_allclose(gait.state_dict()["met"]["height"], expected, atol=1e-15)
     # the next landing is that much lower
@@ -315,10 +315,50 @@ def test_landings_make_up_for_the_height_by_which_a_finger_missed_the_centre(cub
     )
     gait.switch.clear(np.ones(2, bool))
     gait._wait[:] = 0.0
-    gait._begin_and_aim(grasps, angle, flat)
+    gait._begin_and_aim(grasps, angle, flat, np.zeros(2))
     assert gait.switch.finger.tolist() == [1, 1]
     landing = gait.switch.state_dict()["landing_tip"]
     np.testing.assert_allclose((landing - grasps.origin)[:, 2], [-0.02, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("palm", ["up", "down"])
+def test_objects_that_nothing_tells_of_are_cradled(dex5: HandModel, palm: str) -> None:
+    """Landings lie below the centre, seen from gravity, where normals are guessed."""
+    sim = BatchSimulator(Scene.build(dex5, "cube", gravity=palm), 2)
+    state = replace(sim.read(), object_position=None, object_quaternion=None)
+    gravity = np.broadcast_to(sim.scene.gravity, (2, 3))
+    below = {
+        "guessed": replace(state, normals_felt=False, gravity=gravity),
+        "one of them": replace(state, normals_felt=np.array([True, False]), gravity=gravity),
+        "felt": replace(state, gravity=gravity),
+        "gravity not known": replace(state, normals_felt=False, gravity=None),
+        "tracked": replace(sim.read(), normals_felt=False, gravity=gravity),
+    }
+    sign = {"up": -1.0, "down": 1.0}[palm]
+    expected = {"guessed": [0.01, 0.01], "one of them": [0.0, 0.01]}
+    for name, seen in below.items():
+        gait = CoordinatedGait(dex5, least_travel=0.0, residual_weight=0.0)
+        gait.act(seen)
+        begun = replace(seen, q=seen.q + 1e-3)  # some travel, so that a switch begins
+        gait.act(begun)
+        heights = gait.switch.state_dict()["landing_tip"] @ gait.axis
+        middle = gait.switch.state_dict()["anchor"] @ gait.axis
+        assert (gait.switch.phase == Phase.UNLOAD).all(), name
+        np.testing.assert_allclose(
+            heights - middle, sign * np.array(expected.get(name, [0.0, 0.0])), atol=1e-9
+        )
+
+
+@pytest.mark.parametrize("touch", ["binary", "joint-torque"])
+def test_a_dodecahedron_does_not_slip_down_unseen(touch: Literal["binary", "joint-torque"]) -> None:
+    """Its faces lean; with fingers at the height of their own middle it sank 10 mm in 9 s."""
+    sensing = Sensing(touch=touch, object_pose="unknown")
+    config = SceneConfig(object=("dodecahedron",), sensing=sensing)
+    with Simulation(config, 8, 100) as sim:
+        trace = run(CoordinatedGait(sim.hand), sim, 9.0)
+    sunk = trace.object_position[0, :, 2] - trace.object_position[-1, :, 2]
+    assert np.median(sunk) < 0.004
+    assert (trace.final_rotation > 1.0).all()
 
 
 def test_four_fingers_do_not_wait_for_a_thumb_that_the_others_could_spare(
