@@ -391,6 +391,9 @@ def figures(rows: list[dict[str, Any]], given: Options) -> list[Figure]:
             measured += (
                 f"median {median:.1f} s" if np.isfinite(median) else f"median {turned:.1f} rad"
             )
+            if part == "controllers":  # seconds are the machine's, physics steps are not
+                steps = np.median([r["physics_steps"] for r in some])
+                measured += f", {steps / 1e6:.2f} million physics steps"
             found.append(
                 Figure(
                     f"{part} tree turns the {name} by 2 pi, palm {palm}",
