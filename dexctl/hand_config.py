@@ -132,6 +132,9 @@ class HeldObject:
     reach: float | None = None
     """How far round such an object each fingertip can go, to either side of where it holds, with
     nothing but the fingertip touching [rad]; none: not known. Gaits swing no further."""
+    travel: float | None = None
+    """How far fingers may go with such an object before it waits for them to be put back, where
+    contact normals are felt [rad]; none: what suits the number of fingers, within `reach`."""
 
     def __post_init__(self) -> None:
         if self.centre is not None and not np.isfinite(self.centre).all():
@@ -142,6 +145,8 @@ class HeldObject:
             raise HandModelError(f"object.mass is {self.mass!r}; expected a finite number above 0")
         if self.reach is not None and not (np.isfinite(self.reach) and self.reach > 0):
             raise HandModelError(f"object.reach is {self.reach!r}; expected radians above 0")
+        if self.travel is not None and not (np.isfinite(self.travel) and self.travel > 0):
+            raise HandModelError(f"object.travel is {self.travel!r}; expected radians above 0")
 
 
 @dataclass(frozen=True, kw_only=True)

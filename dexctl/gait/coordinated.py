@@ -49,6 +49,8 @@ class CoordinatedGaitConfig:
     """Fingers that have come less than this from their landing stay down [rad]."""
     most_travel: float = 0.5
     """The object stops before a finger is this far past where it was at the reset [rad]."""
+    unfelt_travel: float | None = None
+    """The same where normals are guessed (`GraspState.normals_felt`) [rad]; None: the same."""
     slow_down: float = 0.2
     """And slows down over the last so much before it [rad]."""
     spacing: float = 0.036
@@ -95,6 +97,8 @@ class CoordinatedGaitConfig:
             ),
             fractions=("level",),
         )
+        if self.unfelt_travel is not None:
+            check_numbers(self, positive=("unfelt_travel",))
         if not any(self.in_grasp.twist[3:]):
             raise InvalidInput(
                 f"in_grasp.twist is {self.in_grasp.twist}; a gait needs a rotation (last three)"
@@ -104,15 +108,18 @@ class CoordinatedGaitConfig:
     def suiting(cls, hand: HandModel) -> CoordinatedGaitConfig:
         """What suits a hand: these defaults where five fingers hold; less speed and short swings
         where four do, since three remain while one is lifted, and never further than
-        ``hand.config.object.reach``; landings a finger's width apart, and some more.
+        ``hand.config.object.reach``, or ``travel`` where the hand's toml says that; landings a
+        finger's width apart, and some more.
         """
         reach = hand.config.object.reach or np.inf
         found = cls() if hand.n_fingers > 4 else cls(**_FEW)
+        usual = min(found.most_travel, 1.1 * reach)
         return replace(
             found,
             spacing=_ROOM * hand.config.finger_width or found.spacing,
             swing=min(found.swing, reach),
-            most_travel=min(found.most_travel, 1.1 * reach),
+            most_travel=hand.config.object.travel or usual,
+            unfelt_travel=usual if hand.config.object.travel else None,
             least_travel=min(found.least_travel, 0.65 * reach),
             slow_down=min(found.slow_down, 0.35 * reach),
         )
@@ -159,6 +166,7 @@ class CoordinatedGaitChanges(TypedDict, total=False):
     swing: float
     least_travel: float
     most_travel: float
+    unfelt_travel: float | None
     slow_down: float
     spacing: float
     follow: bool
@@ -331,7 +339,10 @@ class CoordinatedGait(BatchController):
         switching = self._limits(state.q, state.q_target, switching)
         released = self.switch.released
         furthest = np.where(state.in_contact & ~released, angle, -np.inf).max(axis=1)
-        pace = np.clip((self.config.most_travel - furthest) / self.config.slow_down, 0.0, 1.0)
+        most = self.config.most_travel
+        if self.config.unfelt_travel is not None:
+            most = np.where(state.normals_felt, most, self.config.unfelt_travel)
+        pace = np.clip((most - furthest) / self.config.slow_down, 0.0, 1.0)
         paced = pace[:, None] * wanted
         if twist is not None:  # what no finger has to be switched for goes on
             paced = wanted - ((1.0 - pace) * along)[:, None] * np.append(np.zeros(3), self.axis)

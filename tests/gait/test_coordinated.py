@@ -416,6 +416,9 @@ def test_what_suits_a_hand(dex5: HandModel, four_fingers: HandModel) -> None:
     assert broad.spacing == pytest.approx(1.4 * 0.04)  # links are wider than fingertips
     few = CoordinatedGaitConfig.suiting(replace(config, object=HeldObject()).build())
     assert (few.swing, few.most_travel, few.level) == (0.25, 0.33, 0.5)
+    far = HeldObject(reach=0.2, travel=0.6)  # measured, so it counts before what reach suggests
+    measured = CoordinatedGaitConfig.suiting(replace(config, object=far).build())
+    assert (measured.most_travel, measured.unfelt_travel) == pytest.approx((0.6, 0.22))
     close = HeldObject(reach=0.2)
     near = CoordinatedGaitConfig.suiting(replace(config, object=close).build())
     found = (near.swing, near.most_travel, near.least_travel, near.slow_down)

@@ -70,7 +70,9 @@ def test_what_is_written_is_read(two: Path, tmp_path: Path) -> None:
         palm=PalmConfig(axis=(0, 0, -1.0), up=(1.0, 0.1, 0)),
         servos=ServoConfig(stiffness=2.5, damping={"a_j1": 0.1}, effort=1e-5),
         postures=PostureConfig(open={"a_j1": 0.1 + 0.2}),
-        object=HeldObject(centre=(0.1, 0.0, 0.05), size=0.06, shape="sphere", mass=0.05),
+        object=HeldObject(
+            centre=(0.1, 0.0, 0.05), size=0.06, shape="sphere", mass=0.05, travel=0.6
+        ),
         couplings={"a_j2": Coupling(joint="a_j1", scale=0.5)},
     )
     path = tmp_path / "mine.toml"
