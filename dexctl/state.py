@@ -85,11 +85,15 @@ class GraspState:
             _expect(self, "goal_quaternion", (*batch, 4))
         if self.goal_angular_velocity is not None:
             _expect(self, "goal_angular_velocity", (*batch, 3))
-        for name in ("time", "age", "normals_felt"):
+        for name in ("time", "age"):
             value = getattr(self, name)
-            if type(value) is not float and type(value) is not bool:
+            if type(value) is not float:
                 shape = np.shape(value)
                 _check_shape(self, name, shape, batch if shape else ())
+        if type(self.normals_felt) is not bool:
+            felt = _truths("normals_felt", self.normals_felt)
+            object.__setattr__(self, "normals_felt", felt)
+            _check_shape(self, "normals_felt", felt.shape, batch if felt.shape else ())
 
     @classmethod
     def from_joint_torques(
@@ -318,6 +322,19 @@ def _floats(name: str, value: ArrayLike) -> Floats:
         return np.asarray(value, float)
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} is {value!r}; expected numbers") from None
+
+
+def _truths(name: str, value: object) -> Bools:
+    """``value`` as an array of bool; what is only taken for one, as a text is, is refused."""
+    try:
+        array: NDArray[Any] = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        array = np.zeros(0)
+    if array.dtype != bool:
+        raise InvalidInput(
+            f"GraspState.{name} is {value!r}; expected a bool, for all hands or for each"
+        )
+    return array
 
 
 def _array(state: GraspState, name: str, kind: type = float) -> NDArray:

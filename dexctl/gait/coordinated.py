@@ -50,7 +50,8 @@ class CoordinatedGaitConfig:
     most_travel: float = 0.5
     """The object stops before a finger is this far past where it was at the reset [rad]."""
     unfelt_travel: float | None = None
-    """The same where normals are guessed (`GraspState.normals_felt`) [rad]; None: the same."""
+    """In place of `most_travel` where normals are guessed (`GraspState.normals_felt` is False)
+    [rad]; None: no other."""
     slow_down: float = 0.2
     """And slows down over the last so much before it [rad]."""
     spacing: float = 0.036
@@ -148,7 +149,7 @@ _FEW: dict[str, Any] = {
     "most_travel": 0.33,
     "slow_down": 0.1,
     "pause": 0.05,
-    "cradle": 0.0,  # spheres alone are turned so far, which it presses out of four fingers
+    "cradle": 0.0,  # it presses spheres out of four fingers
     "follow": False,  # following it lost cubes: 4 of 16 more on the LEAP, 5 on the Shadow hand
     "level": 0.5,
     "hold_force": 0.15,
@@ -307,9 +308,8 @@ class CoordinatedGait(BatchController):
         now = self.hand.configuration(state.q)
         tip = now.fingertip_position
         self._meet(state, tip)
-        below = np.zeros(len(state.q))
+        below = self._below(state)
         if state.object_position is None:
-            below = self._below(state)
             odometry = self._odometry
             odometry.update(state, now, state.in_contact & ~self.switch.released)
             state = replace(
@@ -408,9 +408,12 @@ class CoordinatedGait(BatchController):
         return self._fresh
 
     def _below(self, state: GraspState) -> Floats:
-        """How far along the axis fingers cradle objects that nothing tracks, ``(N,)`` [m]."""
+        """Height along the axis, from the object's centre, of where fingers land, ``(N,)`` [m].
+
+        Below it where nothing tells where the object is, or how its faces lean.
+        """
         gravity = state.gravity
-        if gravity is None:
+        if gravity is None or state.object_position is not None:
             return np.zeros(len(state.q))
         size = np.sqrt((gravity * gravity).sum(axis=-1))
         down = (gravity @ self.axis) / np.maximum(size, 1e-9)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dexctl import GraspState, HandModel
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import HandModelError, InvalidInput
 from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
 from dexctl.gait.selection import Grasps, choose
 from dexctl.grasp import is_force_closure
@@ -347,6 +347,29 @@ def test_objects_that_nothing_tells_of_are_cradled(dex5: HandModel, palm: str) -
         np.testing.assert_allclose(
             heights - middle, sign * np.array(expected.get(name, [0.0, 0.0])), atol=1e-9
         )
+
+
+def test_fingers_go_less_far_where_normals_are_guessed(cube: Scene) -> None:
+    state = BatchSimulator(cube, 2).read()
+    gait = CoordinatedGait(
+        cube.hand, most_travel=0.4, unfelt_travel=0.1, slow_down=0.2, least_travel=9.0
+    )
+    for felt, pace in (
+        (True, [1.0, 1.0]),
+        (np.array([True, False]), [1.0, 0.5]),
+        (False, [0.5] * 2),
+    ):
+        gait.reset()
+        gait.act(replace(state, normals_felt=felt))
+        np.testing.assert_allclose(gait.diagnostics["pace"], pace, atol=1e-12)
+
+
+@pytest.mark.parametrize("travel", [0.0, np.nan])
+def test_a_travel_that_is_none(dex5: HandModel, travel: float) -> None:
+    with pytest.raises(InvalidInput, match="unfelt_travel"):
+        CoordinatedGait(dex5, unfelt_travel=travel)
+    with pytest.raises(HandModelError, match="object.travel is .*; expected radians above 0"):
+        HeldObject(travel=travel)
 
 
 @pytest.mark.parametrize("touch", ["binary", "joint-torque"])

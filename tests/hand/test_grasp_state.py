@@ -69,6 +69,22 @@ def test_what_is_no_array_names_the_field(name: str, value: Any) -> None:
         GraspState(**(fields() | {name: value}))
 
 
+@pytest.mark.parametrize(
+    "value", ["yes", 0.5, float("nan"), None, [0.0, 1.0, 1.0, 0.0], [[True], [True, False]]]
+)
+def test_whether_normals_are_felt_is_yes_or_no(value: Any) -> None:
+    with pytest.raises(InvalidInput, match=r"GraspState\.normals_felt is .*expected .*bool"):
+        GraspState(**fields((4,)), normals_felt=value)
+
+
+def test_whether_normals_are_felt_is_said_for_all_or_for_each() -> None:
+    assert GraspState(**fields((4,))).normals_felt is True
+    mixed = GraspState(**fields((4,)), normals_felt=[True, False, True, False])  # type: ignore[arg-type]
+    assert mixed[1:3].normals_felt.tolist() == [False, True]  # type: ignore[union-attr]
+    with pytest.raises(InvalidInput, match=r"GraspState\.normals_felt has shape \(3,\)"):
+        GraspState(**fields((4,)), normals_felt=np.ones(3, bool))
+
+
 def test_indexing() -> None:
     values = fields((4,))
     state = GraspState(**values)
