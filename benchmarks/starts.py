@@ -365,7 +365,7 @@ def measure(name: str, method: str, seed: int | None, given: Options) -> list[di
     last = RunFolder(folder).progress()[-1]
     about = {
         "task": name, "method": method, "training_seed": found.seed, "steps": int(last["step"]),
-        "training_s": whole(last["seconds"]), "training_cpu_s": whole(last.get("cpu_seconds")),
+        "training_s": tenths(last["seconds"]), "training_cpu_s": tenths(last.get("cpu_seconds")),
         "start_from": start, "algorithm": found.algorithm, "guides": [
             guide.partition(":")[0] for guide in found.guides
         ],
@@ -374,9 +374,9 @@ def measure(name: str, method: str, seed: int | None, given: Options) -> list[di
     return both_starts(subject, name, about, given)
 
 
-def whole(seconds: float | None) -> int | None:
-    """Seconds without their parts; None where the log has no number."""
-    return None if seconds is None or np.isnan(seconds) else round(seconds)
+def tenths(seconds: float | None) -> float | None:
+    """Seconds to a tenth, so that short trainings take some; None where the log has no number."""
+    return None if seconds is None or np.isnan(seconds) else round(seconds, 1)
 
 
 def key(row: dict[str, Any]) -> tuple[Any, ...]:
