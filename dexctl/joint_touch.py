@@ -141,7 +141,7 @@ class JointTouch:
                 for name, value in now.items()
             }
         self._past = now
-        return replace(state, **found._asdict(), normals_felt=False)
+        return replace(state, **found._asdict(), normals_felt=np.zeros(state.batch_shape, bool))
 
     def _begin(self, state: GraspState, torque: Floats) -> dict[str, np.ndarray]:
         return {

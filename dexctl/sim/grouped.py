@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -121,10 +120,9 @@ class GroupedSimulator:
     def read(self) -> GraspState:
         """See `BatchSimulator.read`."""
         states = [group.read() for group in self.groups]
-        names = [name for name, value in states[0].arrays().items() if np.ndim(value)]
-        return replace(
-            states[0],
-            **{name: np.concatenate([getattr(state, name) for state in states]) for name in names},
+        names = [name for name, value in states[0].arrays().items() if value is not None]
+        return GraspState(
+            **{name: np.concatenate([getattr(state, name) for state in states]) for name in names}
         )
 
     def write(self, q_target: ArrayLike) -> Floats:

@@ -322,6 +322,7 @@ class BatchSimulator:
             gravity=self._parameters.value("gravity", self.scene.gravity),
             time=self._clock(),
             age=np.full(self._count, self._timestep),
+            normals_felt=np.ones(self._count, bool),
         )
         return state if batch else state[0]
 
