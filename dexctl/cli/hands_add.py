@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 from dexctl.cli.checks import make_folder
-from dexctl.cli.hands_grasp import Turning, chosen, suggestions
+from dexctl.cli.hands_grasp import Turning, chosen, further, suggestions
 from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
@@ -151,6 +151,13 @@ class Add:
         )
         best, turned = chosen(hand, config, grasps, self.turning, self.seed, say)
         config = best.applied(config, hand.joint_names)
+        if turned is not None:
+            config, turned = further(config, best.object, turned, self.turning, self.seed)
+            if config.object.travel is not None:
+                say(f"fingers may go {config.object.travel:g} rad with the object: {turned.note}")
+                reasons["object.travel"] = (
+                    "Tried with the gait, beside what is usual for so many fingers: further."
+                )
         held = best.note if turned is None else f"{best.note}; {turned.note}"
         reasons["object"] = f"Found by search and held in the simulator: {held}."
         reasons["postures.open"] = "From here the fingers close on the object."

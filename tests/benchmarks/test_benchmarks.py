@@ -92,9 +92,12 @@ RUNS: dict[str, list[str]] = {
     ],
 }
 
-LONGER = {  # than 10 s on a quiet machine, however little they are asked for
-    "algorithms.py", "compiled_or_plain.py", "feedback.py", "goal_policies.py", "hands.py",
-    "hands_learned.py", "learning_ablation.py", "planning.py", "touch.py",
+LONGER = {  # than five seconds of processor, however little they are asked for
+    "ablation.py", "algorithms.py", "commanded_speed.py", "compiled_or_plain.py", "conditions.py",
+    "feedback.py", "feedback_x.py", "goal_policies.py", "hands.py", "hands_learned.py",
+    "hands_turning.py", "hardware_grasp.py", "hardware_loop.py", "learner.py",
+    "learning_ablation.py", "planning.py", "predictive_sampling.py", "ranges.py",
+    "reorientation.py", "robustness.py", "servo_hand.py", "starts.py", "touch.py",
 }  # fmt: skip
 
 FIRST_SEEDS = {  # of those that do not begin with 0
@@ -166,6 +169,7 @@ def test_learning_curves_are_drawn(tmp_path: Path) -> None:
     assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_ablations_of_trees_are_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the extra 'viz' is not installed")
     picture = tmp_path / "ablation.png"
@@ -189,6 +193,7 @@ def test_interrupted_run_goes_on(tmp_path: Path) -> None:
     assert len(rows) == 2 * len(first)
 
 
+@pytest.mark.slow
 def test_a_row_of_more_episodes_takes_the_place_of_fewer(tmp_path: Path) -> None:
     """All rows of a result had to have as many, so that none could have the 500 of a goal."""
     pytest.importorskip("torch", reason="needs the extra 'learning'")
@@ -202,6 +207,7 @@ def test_a_row_of_more_episodes_takes_the_place_of_fewer(tmp_path: Path) -> None
     assert [row["condition"] for row in rows] == ["up", "down"]
 
 
+@pytest.mark.slow
 def test_trainings_of_another_seed_stand_beside_the_first(tmp_path: Path) -> None:
     """They were written over."""
     pytest.importorskip("torch", reason="needs the extra 'learning'")
@@ -300,6 +306,7 @@ def test_what_it_takes_to_add_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     assert lines[5][:2] == ["away", "not here: away.xml is not there"]
 
 
+@pytest.mark.slow
 def test_hands_that_are_not_here_keep_what_was_measured_of_them(tmp_path: Path) -> None:
     path, arguments = tmp_path / "hands.json", ["hands.py", *SHORT, "--out", str(tmp_path)]
     assert run(*arguments, "--hands", "none.toml").returncode == 0

@@ -193,7 +193,7 @@ def test_check_grasp_of_a_file(grasps: Path, tmp_path: Path) -> None:
 def test_rotate_about_another_axis_with_limits(tmp_path: Path) -> None:
     done = dexctl_command(
         "rotate", "--controller", "igm", "--object", "cylinder", "--num-envs", "2",
-        "--seconds", "2", "--axis=-z", "--as-real", "--action-latency", "0.1",
+        "--seconds", "1", "--axis=-z", "--as-real", "--action-latency", "0.1",
         "--joint-noise", "0.001", "--push-force", "0.1", "--json", "--out", str(tmp_path),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -211,7 +211,7 @@ def test_rotate_about_another_axis_with_limits(tmp_path: Path) -> None:
         ("push force", "0.1 N"),
     ):
         assert f"<td>{what}</td><td>{value}</td>" in page
-    assert "--axis=-z --seconds 2.0" in page
+    assert "--axis=-z --seconds 1.0" in page
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,7 @@ def test_interrupted_before_anything_is_done(
     assert names(tmp_path) == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sign", "expected"),
     [("igm_0.png", {"report.html"}), (".demo.partial.mp4", {"report.html", "demo.mp4"})],

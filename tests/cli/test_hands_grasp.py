@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 import dexctl
 from dexctl.cli import hands_grasp
 from dexctl.cli.hands_add import stiffened
-from dexctl.cli.hands_grasp import Turned, Turning, chosen, turned
+from dexctl.cli.hands_grasp import Turned, Turning, chosen, further, turned
 from dexctl.exceptions import InvalidInput
 from dexctl.hand_config import HandConfig
 from dexctl.sim import SuggestedGrasp
@@ -87,6 +88,31 @@ def test_the_grasp_that_turns_furthest_is_chosen(
     for few, settings in ((grasps, replace(how, grasps=0)), (grasps[4:], how)):
         best, found = chosen(dex5, dex5.config, few, settings, seed=0, say=said.append)
         assert best is few[0] and found is None
+
+
+@pytest.mark.parametrize(
+    ("rotation", "held", "taken"), [(1.2, 1.0, True), (1.05, 1.0, False), (1.4, 0.875, False)]
+)
+def test_longer_strides_are_written_where_the_gait_gains_by_them(
+    dex5: dexctl.HandModel,
+    monkeypatch: pytest.MonkeyPatch,
+    rotation: float,
+    held: float,
+    taken: bool,
+) -> None:
+    """A tenth further, and no trial more dropped: 1.4 rad with a drop in eight are not."""
+    usual = Turned({"up": 1.0}, {"up": 1.0}, {"up": 1.0}, trials=8, seconds=20.0)
+    found = usual._replace(rotation={"up": rotation}, held={"up": held})
+    asked: list[tuple[float | None, str, tuple[str, ...], int, float, int]] = []
+
+    def trial(config: HandConfig, name: str, palms: tuple[str, ...], *rest: Any) -> Turned:
+        asked.append((config.object.travel, name, palms, *rest))
+        return found
+
+    monkeypatch.setattr(hands_grasp, "turned", trial)
+    config, made = further(dex5.config, "cube", usual, Turning(seconds=20.0), seed=3)
+    assert asked == [(hands_grasp.FURTHER, "cube", ("up",), 8, 20.0, 3)]
+    assert (config.object.travel, made) == ((0.6, found) if taken else (None, usual))
 
 
 def test_trials_are_those_of_the_gait(dex5: dexctl.HandModel) -> None:

@@ -24,7 +24,12 @@ RUNS: dict[str, tuple[list[str], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+LONGER = ("learn_from_paths.py",)  # than five seconds of processor
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONGER else []) for n in EXAMPLES]
+)
 def test_example_runs(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     arguments, expected = RUNS[name]
     if name.startswith("learn_"):

@@ -72,6 +72,7 @@ def test_bad_input(dex5: dexctl.HandModel, settled: GraspState) -> None:
         Closing(dex5, control_period=0.05)(settled[None] if settled.batch_shape == () else settled)
 
 
+@pytest.mark.slow
 def test_encoders_that_are_off_no_longer_leave_fingers_in_the_air(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,11 +12,14 @@ import time
 import numpy as np
 import pytest
 
-from dexctl.exceptions import InvalidInput
+from dexctl.exceptions import DexctlError, InvalidInput
+from dexctl.settings import from_plain
 from dexctl.sim import SceneConfig
 from hardware import registers as R  # noqa: N812
 from hardware.bus import Bus
 from hardware.emulator import Emulator
+from hardware.emulator.__main__ import _chain
+from hardware.emulator.config import EmulatorConfig
 from hardware.exceptions import BusError
 
 
@@ -72,20 +75,19 @@ def test_it_ends_when_its_starter_is_killed() -> None:
 
 
 def test_settings_that_make_no_sense() -> None:
-    for settings, text in (
+    teapot = {"dynamics": "mujoco", "scene": SceneConfig(object=("teapot",))}
+    with pytest.raises(BusError, match="unknown object 'teapot'"):
+        Emulator(**teapot)
+    for settings, text in (  # what its process makes of others
         ({"servos": 0}, "0 joints; expected 1 to 252"),
         ({"servos": 2, "ids": [1, 1]}, "two servos share one"),
         ({"servos": 2, "ids": [1, 300]}, "ids has 300; expected 0 to 252"),
         ({"servos": 2, "zeros": [1]}, "1 zeros; expected 2"),
-        (
-            {"dynamics": "mujoco", "scene": SceneConfig(object=("teapot",))},
-            "unknown object 'teapot'",
-        ),
         ({"scene": {"hand": "claw"}}, "unknown hand 'claw'"),
         ({"servos": "many"}, "servos is 'many'; expected a whole number"),
     ):
-        with pytest.raises(BusError, match=text):
-            Emulator(**settings)  # type: ignore[arg-type]
+        with pytest.raises(DexctlError, match=text):
+            _chain(from_plain(EmulatorConfig, settings))
 
 
 def test_side_channel_refuses(emulator: Emulator) -> None:

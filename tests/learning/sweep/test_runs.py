@@ -187,6 +187,7 @@ def test_stopped_in_order_is_no_failure(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_sweep_that_is_told_to_stop_saves_and_says_how_it_goes_on(
     file: Path, tmp_path: Path
 ) -> None:
@@ -221,6 +222,7 @@ def test_controllers_are_made_for_the_axis_that_was_trained(tmp_path: Path) -> N
     assert result["evaluation"]["scene"]["object_size"] == 0.07
 
 
+@pytest.mark.slow
 def test_a_task_of_ray_is_the_same_process(tmp_path: Path) -> None:
     """What runs on the cluster's machines, without a cluster."""
     job = hold(tmp_path)
