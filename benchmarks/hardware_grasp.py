@@ -45,7 +45,7 @@ ROW = 25  # ticks between those of the traces that are kept in the result
 REAL = HandLimits.real()
 GAINS = to_servo(SimGains(3.0, 0.15, REAL_TORQUE, REAL_SPEED))
 # the emulator's time stands still between ticks; the wall clock says nothing
-UNHURRIED = Limits(watchdog=2.0, state_age=100.0, command_age=100.0)
+UNHURRIED = Limits(watchdog=2.0, state_age=10.0, command_age=10.0)
 NAMES = ("igm", "coordinated")
 
 

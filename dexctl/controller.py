@@ -135,10 +135,9 @@ class Superposition(Controller):
     def __init__(self, controllers: Sequence[Controller]) -> None:
         if not controllers:
             raise InvalidInput("Superposition got no controllers; expected at least one")
-        periods = {controller.control_period for controller in controllers}
-        if len(periods) > 1 or any(c.hand is not controllers[0].hand for c in controllers):
-            raise InvalidInput("Superposition needs controllers of one hand and one control_period")
-        super().__init__(controllers[0].hand, control_period=controllers[0].control_period)
+        hand = getattr(controllers[0], "hand", None)  # one that is none has no hand: it is refused
+        period = check_parts(hand, {f"controller {i}": c for i, c in enumerate(controllers)})
+        super().__init__(controllers[0].hand, control_period=period)
         self.controllers = tuple(controllers)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
@@ -168,6 +167,38 @@ class Superposition(Controller):
         return action
 
 
+def check_parts(
+    hand: HandModel | None, parts: Mapping[str, Controller], control_period: float | None = None
+) -> float:
+    """The control period of the controllers that another one is put together of [s].
+
+    Args:
+        hand: that they have to be of: joint by joint, since set-points go by the joints' order.
+        parts: by the names that people know them by.
+        control_period: that they have to have [s]; None: that of the first.
+
+    Raises:
+        InvalidInput: one is no controller, of other joints, or of another control period.
+    """
+    for name, one in parts.items():
+        if not isinstance(one, Controller):
+            raise InvalidInput(f"{name} is {shown(one)}; expected a Controller")
+        joints = [] if hand is None else list(hand.joint_names)
+        if list(one.hand.joint_names) != joints:
+            raise InvalidInput(
+                f"{name} is for joints in the order {shown(', '.join(one.hand.joint_names))}; "
+                f"expected {shown(', '.join(joints))}"
+            )
+        wanted = one.control_period if control_period is None else control_period
+        if not np.isclose(one.control_period, wanted):
+            raise InvalidInput(
+                f"{name} has a control_period of {one.control_period:g} s; expected {wanted:g} s"
+            )
+        control_period = wanted
+    assert control_period is not None
+    return control_period
+
+
 def check_state(hand: HandModel, state: GraspState) -> None:
     """Raise InvalidInput where ``state`` is of a hand with other numbers of joints or fingers.
 
@@ -184,28 +215,36 @@ def check_state(hand: HandModel, state: GraspState) -> None:
         raise InvalidInput(f"state has batch shape {state.batch_shape}; expected () or (N,)")
 
 
+_QUATERNIONS = ("object_quaternion", "goal_quaternion")
+_OPTIONAL = ("goal_angular_velocity", "gravity")
+
+
 def check_sound(hand: HandModel, state: GraspState) -> None:
     """Raise InvalidInput where ``state`` would move a motor wrongly.
 
-    What a controller may read is finite, normals and the object's quaternion are of unit length,
-    and no contact is farther than a kilometre. Rows of fingers out of touch are not read.
+    What a controller may read is finite, normals and quaternions are of unit length, forces are
+    0 or more, and no contact is farther than a kilometre. Rows of fingers out of touch are not
+    read.
     """
     normal, point = state.contact_normal, state.contact_position
     square = np.einsum("...i,...i->...", normal, normal)
     far = np.einsum("...i,...i->...", point, point)
     # comparisons with NaN are false
     good = np.abs(square - 1.0) <= UNIT_TOLERANCE
-    good &= far + np.abs(state.contact_force) <= FARTHEST**2
+    good &= (state.contact_force >= 0.0) & (far + state.contact_force <= FARTHEST**2)
     good |= ~state.in_contact
     size = np.einsum("...i,...i->...", state.q, state.q)
     size = size + np.einsum("...i,...i->...", state.q_target, state.q_target)
-    if state.object_position is not None:
-        size += np.einsum("...i,...i->...", state.object_position, state.object_position)
+    for name in ("object_position", *_OPTIONAL):
+        value = getattr(state, name)
+        if value is not None:
+            size = size + np.einsum("...i,...i->...", value, value)
     right = good.all() and (size <= FALLEN**2).all()
-    if right and state.object_quaternion is not None:
-        quaternion = state.object_quaternion
-        length = np.einsum("...i,...i->...", quaternion, quaternion)
-        right = (np.abs(length - 1.0) <= UNIT_TOLERANCE).all()
+    for name in _QUATERNIONS:
+        quaternion = getattr(state, name)
+        if right and quaternion is not None:
+            length = np.einsum("...i,...i->...", quaternion, quaternion)
+            right = (np.abs(length - 1.0) <= UNIT_TOLERANCE).all()
     if not right:
         refuse(hand, state)
 
@@ -214,7 +253,7 @@ def refuse(hand: HandModel, state: GraspState) -> None:
     """Raise InvalidInput that names what `check_sound` found; nothing where all is well."""
     touch = state.in_contact
     with np.errstate(over="ignore", invalid="ignore"):
-        for name in ("q", "q_target", "object_position", "object_quaternion"):
+        for name in ("q", "q_target", "object_position", *_QUATERNIONS, *_OPTIONAL):
             value = getattr(state, name)
             if value is not None:
                 _refuse_rows(name, value, ~np.isfinite(value).all(axis=-1))
@@ -226,6 +265,9 @@ def refuse(hand: HandModel, state: GraspState) -> None:
         length = np.linalg.norm(state.contact_normal, axis=-1)
         wrong = touch & ~(np.abs(length**2 - 1.0) <= UNIT_TOLERANCE)
         _refuse_rows("contact_normal", state.contact_normal, wrong, fingers, "of unit length")
+        # a finger that pulls presses the more, as far and as fast as it may
+        pulls = touch & ~(state.contact_force >= 0.0)
+        _refuse_rows("contact_force", state.contact_force, pulls, fingers, "0 N or more")
         for name, value in (
             ("contact_position", np.linalg.norm(state.contact_position, axis=-1)),
             ("contact_force", np.sqrt(np.abs(state.contact_force))),
@@ -233,15 +275,17 @@ def refuse(hand: HandModel, state: GraspState) -> None:
             within = f"within {FARTHEST if name == 'contact_position' else FARTHEST**2:g}"
             over = touch & ~(value <= 0.7 * FARTHEST)
             _refuse_rows(name, getattr(state, name), over, fingers, within)
-        for name in ("q", "q_target", "object_position"):
+        for name in ("q", "q_target", "object_position", *_OPTIONAL):
             value = getattr(state, name)
             if value is not None:
                 over = np.linalg.norm(value, axis=-1) > 0.5 * FALLEN
                 _refuse_rows(name, value, over, (), f"within {FALLEN:g}")
-        if state.object_quaternion is not None:
-            length = np.linalg.norm(state.object_quaternion, axis=-1)
-            wrong = ~(np.abs(length**2 - 1.0) <= UNIT_TOLERANCE)
-            _refuse_rows("object_quaternion", state.object_quaternion, wrong, (), "of unit length")
+        for name in _QUATERNIONS:
+            value = getattr(state, name)
+            if value is not None:
+                length = np.linalg.norm(value, axis=-1)
+                wrong = ~(np.abs(length**2 - 1.0) <= UNIT_TOLERANCE)
+                _refuse_rows(name, value, wrong, (), "of unit length")
 
 
 def _refuse_rows(

@@ -410,7 +410,7 @@ def steered(
     from dexctl.gait import GoalSteering  # the others are loaded when they are made, too
 
     found = resolve(turner, hand, control_period=control_period, axis=axis)
-    return GoalSteering(hand, turner=found, **changes)
+    return GoalSteering(hand, turner=found, control_period=found.control_period, **changes)
 
 
 def sequence(

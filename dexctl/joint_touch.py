@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dexctl.controller import check_state
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, copies, fill
@@ -22,7 +23,7 @@ from dexctl.touch import (
     servo_torques,
     touch_config,
 )
-from dexctl.validation import number
+from dexctl.validation import check_mask, number
 
 
 class JointTouch:
@@ -78,11 +79,16 @@ class JointTouch:
         self._past: dict[str, np.ndarray] = {}
 
     def reset(self, mask: Bools | None = None) -> None:
-        """Forget the past of all hands, or of those in ``mask`` ``(N,)``."""
+        """Forget the past of all hands, or of those in ``mask`` ``(N,)``.
+
+        Raises:
+            InvalidInput: the mask is not of bools, one for each hand.
+        """
         if mask is None or not self._past:
             self._past = {}
         else:
-            self._past["fresh"] = self._past["fresh"] | mask
+            fresh = self._past["fresh"]
+            self._past["fresh"] = fresh | check_mask(mask, fresh.shape)
 
     def __call__(
         self,
@@ -102,7 +108,20 @@ class JointTouch:
                 the others stays as it is.
             free_torque: what the joints need there to hold the finger itself, such as the weight of
                 its links, ``(..., d)`` [N m]; taken off. None: what ``weights`` says.
+
+        Raises:
+            InvalidInput: a state of another hand, joints or torques that are not finite, or an
+                argument of another shape. The past stays as it was.
         """
+        check_state(self.hand, state)
+        for name in ("q", "q_target"):  # one NaN would be in the smoothed torque for good
+            per_joint(self.hand, name, getattr(state, name))
+        if switches is not None:
+            switches = check_mask(switches, state.in_contact.shape)
+        if mask is not None:
+            mask = check_mask(mask, state.batch_shape)
+        if torque is not None:
+            torque = np.broadcast_to(per_joint(self.hand, "torque", torque), state.q.shape)
         if torque is None:
             torque = servo_torques(self.hand, state.q, state.q_target, self._stiffness)
             measured = False

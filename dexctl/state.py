@@ -203,6 +203,7 @@ class GraspState:
         for name, value in joints.items():
             if value.shape != joints["q"].shape or value.shape[-1:] != (hand.nq,):
                 raise InvalidInput(f"{name} has shape {value.shape}; expected (..., {hand.nq})")
+            per_joint(hand, name, value)  # what is not finite would press nowhere, silently
         pressing = None
         if stiffness is not None:
             pressing = servo_torques(hand, **joints, stiffness=stiffness)

@@ -37,13 +37,18 @@ class Guard:
                 f"cannot start the guard that takes the torque off if this process dies: {error}"
             ) from None
 
-    def close(self) -> None:
-        """End it without torque-off; harmless when repeated."""
+    def close(self, done: bool = True) -> None:
+        """End it; harmless when repeated.
+
+        Args:
+            done: whether all that can be done about the torque has been; else it sends torque-off.
+        """
         stdin = self._process.stdin
         assert stdin is not None
         if not stdin.closed:
-            with contextlib.suppress(OSError):
-                stdin.write(guard.DONE)
+            if done:
+                with contextlib.suppress(OSError):
+                    stdin.write(guard.DONE)
             stdin.close()
         try:
             self._process.wait(5)

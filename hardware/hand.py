@@ -7,6 +7,7 @@ of the torque. One thread uses a hand at a time.
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,7 +32,7 @@ from hardware.registers import Register
 from hardware.samples import Health, JointSample, TorqueReport
 from hardware.state_machine import Torque
 from hardware.tactile import NoTactile, TactileReading, TactileSource
-from hardware.ticker import Ticker
+from hardware.ticker import Interrupts, Ticker
 from hardware.units import ServoGains, SimGains, to_servo
 
 CONTROL_PERIOD = 0.02
@@ -108,14 +109,7 @@ class ServoHand:
         self._turns: Floats | None = None
         self._sample: JointSample | None = None
         self._touch: TactileReading = self.tactile.read()
-        self._health = Health(
-            np.full(hand.nq, np.nan),
-            np.full(hand.nq, np.nan),
-            np.full(hand.nq, -1),
-            np.zeros(hand.nq, bool),
-            np.zeros(hand.nq, bool),
-        )
-        self._health_turn = 0
+        self._health, self._health_turn = _unknown(hand.nq), 0
         self._guard: Guard | None = None
         self._last_limited: LimitedGoal | None = None
 
@@ -133,8 +127,13 @@ class ServoHand:
         Raises:
             ServoError: a servo does not answer, has a hardware error, or does not keep a setting.
             InvalidInput: a joint stands out of its range.
-            Each says what is known of the torque then (see `hardware.exceptions.tell_torque`).
+            BusError: the hand is armed already; nothing is done.
+            Each of the others says what is known of the torque then (see
+            `hardware.exceptions.tell_torque`).
         """
+        if self._guard is not None:  # a second one would outlive the first's disarm
+            raise BusError("the hand is armed already; disarm() it first")
+        self._sample, self._health, self._health_turn = None, _unknown(self.hand.nq), 0
         try:
             self._prepare()
             self._guard = self.bus.guard(self._ids)
@@ -423,13 +422,21 @@ class ServoHand:
     # letting go
 
     def disarm(self, attempts: int = 10) -> TorqueReport:
-        """Torque off, confirmed servo by servo. Never raises; says what is known."""
-        try:
-            self.torque_report = self._let_go(attempts)
-        finally:
-            if self._guard is not None:
-                self._guard.close()
-                self._guard = None
+        """Torque off, confirmed servo by servo; says what is known.
+
+        Nothing ends it half-way: a Ctrl-C that comes meanwhile counts once the torque is off.
+        """
+        done = False
+        with Interrupts() as meanwhile:
+            try:
+                self.torque_report = self._let_go(attempts)
+                done = True
+            finally:
+                if self._guard is not None:
+                    self._guard.close(done)
+                    self._guard = None
+        if meanwhile.signal:
+            signal.raise_signal(meanwhile.signal)
         return self.torque_report
 
     def _let_go(self, attempts: int) -> TorqueReport:
@@ -463,6 +470,12 @@ class ServoHand:
 
     def __exit__(self, *_: object) -> None:
         self.disarm()
+
+
+def _unknown(joints: int) -> Health:
+    """Of servos that nobody has asked."""
+    nan, no = np.full(joints, np.nan), np.zeros(joints, bool)
+    return Health(nan, nan.copy(), np.full(joints, -1), no, no.copy())
 
 
 def joint_limits(hand: HandModel, limits: Limits) -> tuple[Floats, Floats]:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dexctl import Controller
+from dexctl.controller import check_parts
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from hardware.closing import Closing
@@ -66,13 +67,7 @@ class Runner:
         on_tick: Callable[[float, Floats, Floats], None] | None = None,
         on_event: Callable[[RunEvent], None] | None = None,
     ) -> None:
-        if not np.isclose(controller.control_period, hand.control_period):
-            raise InvalidInput(
-                f"the controller's control_period is {controller.control_period} s and the hand's "
-                f"{hand.control_period} s; expected the same"
-            )
-        if controller.hand.joint_names != hand.hand.joint_names:
-            raise InvalidInput("the controller is made for another hand: joint names differ")
+        check_parts(hand.hand, {"the controller": controller}, hand.control_period)
         self._hand, self._controller, self._log = hand, controller, log
         self._needs_tactile, self._seed = needs_tactile, seed
         self._on_event, self._on_tick, self._extra = on_event, on_tick, extra
@@ -120,6 +115,7 @@ class Runner:
                 return run.go()
         finally:
             worker.close()
+            self._interrupts = Interrupts()  # what ended this run does not end the next
 
 
 class _Run:
@@ -210,6 +206,7 @@ class _Run:
         """Send what is to be sent in this state."""
         hand = self.hand
         if self.state is State.ARMED:
+            hand.tactile.read()  # what waits to be read is dated when it is
             there = self.approach is None or self.arrived_at is not None
             if not there and np.abs(self.approach - hand.q_target).max() < 1e-6:
                 there, self.arrived_at = True, time.monotonic()

@@ -43,5 +43,8 @@ OF_A_REAL_HAND = (
     "sensing.touch_threshold", "limits.speed_limit", "limits.torque_limit",
 )  # fmt: skip
 """Settings that count on a real hand too; those of the object say how to grasp it."""
-OF_AN_OBJECT = ("object_size", "object_mass", "object_mesh", "initial_states", "push.push_force")
+OF_AN_OBJECT = (
+    "object_size", "object_mass", "object_mesh", "object_friction", "initial_states",
+    "push.push_force",
+)  # fmt: skip
 """Settings that mean nothing in an empty hand."""

@@ -128,7 +128,7 @@ class LineParser:
 
     Attributes:
         position, normal, force: the last ones of each finger.
-        taken: when their bytes arrived [s]; -inf where none has.
+        taken: when their bytes arrived, as it was told [s]; -inf where none has.
         bad_lines: how many lines could not be used.
     """
 
@@ -195,8 +195,10 @@ def _checksum(body: bytes) -> int:
 class SerialTactile:
     """Fingertips that send lines over a serial port of their own.
 
-    Bytes are taken as they come, in :meth:`read`; nothing waits and there is no thread. After an
-    unplug the readings grow stale and `lost` is set.
+    Bytes are taken as they come, in :meth:`read`; nothing waits and there is no thread. So it is to
+    be called more often than every ``most_age``: what it finds after a longer pause may have been
+    waiting since the last call, and counts as that old. After an unplug the readings grow stale
+    and `lost` is set.
 
     Args:
         port: device, such as /dev/ttyACM0.
@@ -231,6 +233,7 @@ class SerialTactile:
             raise InvalidInput(f"cannot open the tactile port {port!r}: {why}") from None
         self._parser = LineParser(n_fingers)
         self._trusted_force, self._most_age = trusted_force, most_age
+        self._asked = time.monotonic()  # when it was read last
         self.lost = False
 
     @property
@@ -240,10 +243,12 @@ class SerialTactile:
 
     def read(self) -> TactileReading:
         """The newest reading of each finger."""
-        now = time.monotonic()
+        now, before = time.monotonic(), self._asked
+        self._asked = now
+        arrived = now if now - before <= self._most_age else before
         if not self.lost:
             try:
-                self._parser.feed(self._serial.read(self._serial.in_waiting), now)
+                self._parser.feed(self._serial.read(self._serial.in_waiting), arrived)
             except (OSError, TypeError):  # pyserial answers an unplug with either
                 self.lost = True
         parser = self._parser

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.controller import BatchController, Controller
+from dexctl.controller import BatchController, Controller, check_parts
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, copies, fill
@@ -55,19 +55,13 @@ class CommandedTurning(BatchController):
     ) -> None:
         if not turners:
             raise InvalidInput("CommandedTurning got no turners; expected at least one")
+        period = check_parts(hand, {f"turner {i}": one for i, one in enumerate(turners)})
         for one in turners:
             if getattr(one, "axis", None) is None:
                 raise InvalidInput(
                     f"{type(one).__name__} does not turn about one axis; expected one that does"
                 )
-            if tuple(one.hand.joint_names) != tuple(hand.joint_names):
-                raise InvalidInput(
-                    f"a turner is for the hand {one.hand.name!r}; expected {hand.name!r}"
-                )
-        periods = {one.control_period for one in turners}
-        if len(periods) > 1:
-            raise InvalidInput(f"turners have the control periods {sorted(periods)}; expected one")
-        super().__init__(hand, control_period=turners[0].control_period)
+        super().__init__(hand, control_period=period)
         self.turners = tuple(turners)
         self.object = turners[0].object
         found: list[tuple[int, HandSymmetry]] = []

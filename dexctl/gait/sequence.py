@@ -10,7 +10,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import BatchController, Controller
+from dexctl.controller import BatchController, Controller, check_parts
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.commanded import CommandedTurning
 from dexctl.gait.coordinated import CoordinatedGait
@@ -142,14 +142,7 @@ class GoalSequence(BatchController):
 
         self.about = gait((0, 0, 1)) if about is None else about
         self.across = gait((1, 0, 0)) if across is None else across
-        for name, one in (("about", self.about), ("across", self.across)):
-            if not isinstance(one, Controller):
-                raise InvalidInput(f"{name} is {one!r}; expected a Controller")
-            if not np.isclose(one.control_period, control_period):
-                raise InvalidInput(
-                    f"{name} has a control period of {one.control_period}; expected "
-                    f"{control_period}"
-                )
+        check_parts(hand, {"about": self.about, "across": self.across}, control_period)
         self.turner = CommandedTurning(hand, (self.about, self.across), images=config.images)
         axes = self.turner.axes
         along = axes @ axes[0]  # the first is the first controller's own

@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import BatchController, Controller
+from dexctl.controller import BatchController, Controller, check_parts
 from dexctl.exceptions import InvalidInput
 from dexctl.gait.goal import GoalGait, shortened
 from dexctl.hand import HandModel
@@ -66,7 +66,7 @@ class GoalSteering(BatchController):
         axis: of that one's gait, ``(3,)``.
 
     Raises:
-        InvalidInput: a setting is wrong, or the turner is no controller.
+        InvalidInput: a setting is wrong, or the turner is no controller of this hand and period.
     """
 
     def __init__(
@@ -81,9 +81,8 @@ class GoalSteering(BatchController):
     ) -> None:
         if turner is None:
             turner = GoalGait(hand, control_period=control_period, axis=axis)
-        if not isinstance(turner, Controller):
-            raise InvalidInput(f"turner is {turner!r}; expected a Controller")
-        super().__init__(hand, control_period=turner.control_period)
+        super().__init__(hand, control_period=control_period)
+        check_parts(hand, {"turner": turner}, control_period)
         self.config = with_changes(GoalSteeringConfig, config, changes)
         self.turner, self.object = turner, turner.object
         self.grasp = GoalGait(hand, control_period=turner.control_period, axis=axis)

@@ -106,8 +106,6 @@ class ContactOdometry:
 
     def place(self, rows: Bools, position: Floats) -> None:
         """The objects in ``rows`` are at ``position`` ``(K, 3)``, whatever happened before."""
-        self.position = np.array(self.position)  # `follow` may have left the caller's array here
-        self.quaternion = np.array(self.quaternion)
         self.position[rows] = position
         self.quaternion[rows] = (1.0, 0.0, 0.0, 0.0)
         self._holding = self._holding & ~rows[:, None]
@@ -116,9 +114,9 @@ class ContactOdometry:
 
     def follow(self, position: Floats, quaternion: Floats | None) -> None:
         """Something tracks the objects: go on from there when it no longer does."""
-        self.position = position
+        self.position = np.array(position)  # the caller may write the next pose into its own
         if quaternion is not None:
-            self.quaternion = quaternion
+            self.quaternion = np.array(quaternion)
         if not self._following:  # a control step does this each time: it must cost nothing
             self._holding = np.zeros_like(self._holding)
             self._placed = np.ones_like(self._placed)

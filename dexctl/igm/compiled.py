@@ -322,11 +322,12 @@ def sound(q, q_target, position, normal, force, touch, object_position, quaterni
         return False
     for i in range(len(touch)):
         if touch[i]:
-            square, far = 0.0, abs(force[i])
+            square, far = 0.0, force[i]
             for c in range(3):
                 square += normal[i, c] ** 2
                 far += position[i, c] ** 2
-            if not (abs(square - 1.0) <= UNIT_TOLERANCE and far <= FARTHEST**2):
+            unit = abs(square - 1.0) <= UNIT_TOLERANCE
+            if not (unit and far <= FARTHEST**2 and force[i] >= 0.0):
                 return False
     return True
 

@@ -36,15 +36,16 @@ class ContactInverse:
         batch = velocity.shape[:-2]
         if self._shared:
             stacked = finger_jacobian.swapaxes(-1, -2) @ self._hand.finger_joint_map
-            stacked = stacked.reshape(*batch, -1, self._hand.nq)
+            rows = stacked.shape[-3] * stacked.shape[-2]  # -1 is not told in an empty batch
+            stacked = stacked.reshape(*batch, rows, self._hand.nq)
             gram = stacked @ stacked.swapaxes(-1, -2) + self._ridge
-            weights = np.linalg.solve(gram, velocity.reshape(*batch, -1, 1))
+            weights = np.linalg.solve(gram, velocity.reshape(*batch, rows, 1))
             return (stacked.swapaxes(-1, -2) @ weights)[..., 0]
         gram = finger_jacobian.swapaxes(-1, -2) @ finger_jacobian
         gram += self._ridge
         motion = finger_jacobian @ solve_symmetric3(gram, velocity)[..., None]
         if self._in_order:
-            return motion.reshape(*batch, -1)
+            return motion.reshape(*batch, self._hand.nq)
         return (motion.swapaxes(-1, -2) @ self._hand.finger_joint_map).sum(axis=(-3, -2))
 
 

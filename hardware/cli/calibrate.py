@@ -21,6 +21,7 @@ from dexctl import HandModel
 from dexctl.cli.output import notes, print_json, results, table
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
+from dexctl.files import make_parent
 from dexctl.rotations import shortest
 from dexctl.settings import only
 from dexctl.sim.scene_config import SceneConfig
@@ -122,8 +123,7 @@ class Calibrate(HandOptions):
         constant = np.nan if self.torque_constant is None else self.torque_constant
         if self.torque_constant is not None and not 0.01 <= constant <= 100:
             raise InvalidInput(f"--torque-constant is {constant}; expected 0.01 to 100")
-        if not self.out.expanduser().absolute().parent.is_dir():
-            raise InvalidInput(f"--out is {str(self.out)!r}; its folder does not exist")
+        self.out = make_parent(self.out, "--out")  # before somebody has moved every joint
         self.discover()
         model, before = self.load()
         with self._person(model, before) as person:

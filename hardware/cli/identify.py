@@ -17,6 +17,7 @@ from dexctl.cli.parsing import Switch
 from dexctl.files import aside, write_text
 from dexctl.hands.identity import identity
 from dexctl.state import Floats
+from hardware.findings import joint_names
 from hardware.identification import EXPLAINED, Fit, JointDynamics, identify
 from hardware.log import check_joints, hand_of, read_log
 
@@ -49,7 +50,7 @@ class Identify:
         armature = rotor_inertia(hand, fit)
         ranges = ranges_of(hand, fit.dynamics, armature, log.run)
         folder = make_folder(self.out if self.out is not None else self.log.parent)
-        names = [str(name) for name in log.run["joints"]]
+        names = joint_names(log)
         said = {
             "command": "identify",
             "log": str(self.log),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,7 @@ from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
+from dexctl.files import make_parent
 from dexctl.settings import only
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
@@ -56,13 +58,12 @@ class ReplayLog(HandOptions):
         self.check()  # of that hand
         model, calibration = self.load()
         check_joints(log, model)
+        limits = replace(self.limits(), **limits_of_run(log))
         folder = make_folder(self.out)
         target = folder / LOG
         if target.exists() and self.log.exists() and target.samefile(self.log):
             raise InvalidInput(f"--out is the folder of {self.log} itself; expected another one")
         keep_earlier(folder)
-        was = {name: log.run["limits"][name] for name in ("speed_limit", "torque_limit")}
-        limits = replace(self.limits(), **was)
         replay = Replay(model, q_target, control_period=period)
         with self.open(limits, period) as session, LogWriter(target) as writer:
             name = f"replay of {self.log.name}"
@@ -100,6 +101,24 @@ def rows_of(log: Log) -> tuple[float, Floats]:
     return round(period, 4), ticks["q_target"][running]
 
 
+def limits_of_run(log: Log) -> dict[str, float]:
+    """The speed and torque limit that the run was asked for, as settings of `Limits`.
+
+    Raises:
+        InvalidInput: the log does not say them.
+    """
+    said, names = log.run["limits"], ("speed_limit", "torque_limit")
+    found = {
+        name: said[name]
+        for name in names
+        if isinstance(said, Mapping) and isinstance(said.get(name), int | float)
+    }
+    for name in names:
+        if name not in found:
+            raise InvalidInput(f"{log.path} holds no {name} of its run; the log is damaged")
+    return found
+
+
 def compare(first: Log, second: Log) -> float:
     """RMS difference of the joints in the ticks in which both ran [rad]."""
     a, b = (log.ticks["q"][log.ticks["state"] == "run"] for log in (first, second))
@@ -123,8 +142,7 @@ class Report:
         if not log.messages:
             cut = ", cut off before the first of them" if log.cut else ""
             raise InvalidInput(f"{self.log} holds no messages of a run{cut}")
-        path = self.out if self.out is not None else self.log.parent / "report.html"
-        make_folder(path.parent)
+        path = make_parent(self.out or self.log.parent / "report.html", "--out")
         report.write(log, path)
         if self.json:
             print_json(

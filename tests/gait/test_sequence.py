@@ -185,7 +185,7 @@ def test_what_it_refuses(
         GoalSequence(hand, most_tilt=0.8)
     with pytest.raises(InvalidInput, match="about is 'goal'; expected a Controller"):
         GoalSequence(hand, about="goal")  # type: ignore[arg-type]
-    with pytest.raises(InvalidInput, match="across has a control period of 0.02; expected 0.05"):
+    with pytest.raises(InvalidInput, match="across has a control_period of 0.02 s; expected 0.05"):
         GoalSequence(hand, across=still(hand, control_period=0.02))
     with pytest.raises(
         InvalidInput, match="no setting 'axis'; known keywords: control_period, speed"

@@ -93,6 +93,13 @@ def test_what_it_refuses(cylinder: Scene, start: GraspState) -> None:
         GoalSteering(cylinder.hand, goal=(1.0, 1.0, 0.0, 0.0))
     with pytest.raises(InvalidInput, match="turner is 'goal'; expected a Controller"):
         GoalSteering(cylinder.hand, turner="goal")  # type: ignore[arg-type]
+    turner = GoalSteering(cylinder.hand)
+    with pytest.raises(InvalidInput, match="turner has a control_period of 0.05 s; expected 0.02"):
+        GoalSteering(cylinder.hand, turner=turner, control_period=0.02)
+    names = cylinder.hand.joint_names[::-1]
+    other = replace(cylinder.hand.config, joints=names).build()
+    with pytest.raises(InvalidInput, match="for joints in the order 'f1_.*; expected 'f5_"):
+        GoalSteering(other, turner=turner)  # its changes would go to other joints
     blind = replace(ahead(start, [[0, 0, 1.0]] * 3), object_quaternion=None)
     with pytest.raises(InvalidInput, match="a goal and no pose"):
         GoalSteering(cylinder.hand).act(blind)

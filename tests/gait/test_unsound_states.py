@@ -12,6 +12,7 @@ import pytest
 
 import dexctl
 from dexctl.exceptions import InvalidInput
+from dexctl.gait import CommandedTurning, GoalGait, GoalSequence, GoalSteering
 from dexctl.igm import InGraspManipulationConfig
 
 THESIS = InGraspManipulationConfig.thesis()
@@ -68,7 +69,9 @@ WRONG = [
     ("contact_position", lambda p: p + 1e4, "within 1000"),
     ("contact_position", lambda p: p + 1e200, "within 1000"),
     ("contact_force", lambda f: np.nan, "finite"),
-    ("contact_force", lambda f: -1e9, "within 1e"),
+    ("contact_force", lambda f: 1e9, "within 1e"),
+    ("contact_force", lambda f: -20.0, "0 N or more"),  # a sensor with its sign the other way
+    ("contact_force", lambda f: -1e9, "0 N or more"),
     ("object_quaternion", lambda q: 2 * q, "of unit length"),
     ("object_quaternion", lambda q: 0 * q, "of unit length"),
     ("object_position", lambda p: p * np.nan, "finite"),
@@ -109,6 +112,44 @@ def test_fingers_out_of_touch_may_have_any_normal(dex5, name, batch):
     for change in (lambda n: 0 * n, lambda n: 2 * n, lambda n: n * np.nan):
         controller = CONTROLLERS[name](dex5)
         assert np.isfinite(controller.act(spoilt(state, "contact_normal", change))).all()
+
+
+GOALS = {
+    "goal_quaternion": [([2.0, 0, 0, 0], "of unit length"), ([0.0] * 4, "of unit length"),
+                        ([np.nan, 0, 0, 0], "finite")],
+    "goal_angular_velocity": [([0, 0, np.nan], "finite"), ([np.inf, 0, 0], "finite")],
+    "gravity": [([0, 0, np.nan], "finite"), ([0, 1e9, 0], "within 1e")],
+}  # fmt: skip
+TOLD: dict[str, Callable[[dexctl.HandModel], dexctl.Controller]] = {
+    "coordinated": lambda hand: dexctl.CoordinatedGait(hand),
+    "goal": lambda hand: GoalGait(hand),
+    "steered": lambda hand: GoalSteering(hand),
+    "commanded": lambda hand: CommandedTurning(hand, [dexctl.CoordinatedGait(hand)]),
+    "sequence": lambda hand: GoalSequence(hand),
+}
+
+
+@pytest.mark.parametrize("name", TOLD)
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_what_is_asked_for_is_checked_too(dex5, name, batch):
+    """A command that was no number turned the object all the same."""
+    controller, state = TOLD[name](dex5), held(dex5, batch)
+    told = {"goal_quaternion": [1.0, 0, 0, 0], "goal_angular_velocity": [0, 0, 0.4],
+            "gravity": [0, 0, -9.81]}  # fmt: skip
+    for field, value in told.items():
+        state = replace(state, **{field: np.broadcast_to(value, (*batch, len(value))).copy()})
+    controller.act(state)
+    for field, values in GOALS.items():
+        for value, expected in values:
+            wrong = spoilt(state, field, lambda _, value=value: np.array(value))
+            with pytest.raises(InvalidInput, match=f"not {expected}.*{field} is"):
+                controller.act(wrong)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_no_hand_at_all_is_a_batch(dex5, name):
+    controller, state = CONTROLLERS[name](dex5), held(dex5, (3,))
+    assert controller.act(state[:0]).shape == (0, dex5.nq)
 
 
 @pytest.mark.skipif(find_spec("numba") is None, reason="the extra 'fast' is not installed")

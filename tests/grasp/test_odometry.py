@@ -154,3 +154,13 @@ def test_the_gait_knows_where_the_object_is_without_tracking(dex5: HandModel) ->
     moved = np.linalg.norm(there - start, axis=-1)
     assert (moved < 0.03).all()
     assert (error < 0.02).all()
+
+
+def test_the_callers_arrays_are_its_own(dex5: HandModel) -> None:
+    """A pose written into the buffer of the one before moved the object that was known."""
+    odometry = ContactOdometry(dex5, 0.05)
+    odometry.start(2)
+    position, quaternion = np.full((2, 3), 0.1), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    odometry.follow(position, quaternion)
+    position[:], quaternion[:] = 99.0, 0.0
+    assert (odometry.position == 0.1).all() and (odometry.quaternion[:, 0] == 1.0).all()

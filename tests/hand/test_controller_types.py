@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,10 +56,14 @@ def test_superposition_adds_and_resets_and_gathers(dex5: HandModel, state: Grasp
 def test_superposition_refuses_what_does_not_go_together(dex5: HandModel) -> None:
     with pytest.raises(InvalidInput, match="at least one"):
         Superposition([])
-    with pytest.raises(InvalidInput, match="one hand and one control_period"):
+    with pytest.raises(InvalidInput, match="controller 1 has a control_period of 0.1 s; .* 0.05"):
         Superposition([Constant(dex5, 1), Constant(dex5, 1, control_period=0.1)])
-    with pytest.raises(InvalidInput, match="one hand and one control_period"):
-        Superposition([Constant(dex5, 1), Constant(dexctl.hands.load("dex5"), 1)])
+    other = replace(dex5.config, joints=dex5.joint_names[::-1]).build()
+    with pytest.raises(InvalidInput, match="controller 1 is for joints in the order 'f5_"):
+        Superposition([Constant(dex5, 1), Constant(other, 1)])
+    with pytest.raises(InvalidInput, match="controller 0 is 'igm'; expected a Controller"):
+        Superposition(["igm"])  # type: ignore[list-item]
+    Superposition([Constant(dex5, 1), Constant(dexctl.hands.load("dex5"), 1)])  # the same joints
 
 
 @pytest.mark.parametrize("period", [0, -0.1, np.nan, np.inf])

@@ -173,6 +173,7 @@ def test_one_hand_and_a_batch_are_the_same(hand: HandModel) -> None:
         ({"stiffness": 3.0, "touched": [True]}, r"touched has shape \(1,\); expected \(5,\)"),
         ({"stiffness": 3.0, "q_target": np.zeros(3)}, r"q_target has shape \(3,\)"),
         ({"stiffness": 3.0, "q": "open"}, "q is 'open'; expected numbers"),
+        ({"stiffness": 3.0, "q": np.full(15, np.nan)}, "q is .* expected finite numbers"),
         ({"stiffness": 3.0, "object_position": np.zeros(2)}, "object_position has shape"),
     ],
 )
@@ -295,6 +296,34 @@ def test_each_hand_of_a_batch_begins_by_itself(hand: HandModel) -> None:
     none(bare(hand, q2, q2 + torque))
     none(bare(hand, q2, q2), mask=np.array([True, False]))
     assert none(weak).in_contact.tolist() == [[False] * 5, [True] * 5]
+
+
+def test_what_is_not_finite_is_refused_and_not_remembered(hand: HandModel) -> None:
+    """One NaN in a torque was in the smoothed one for good: its finger touched nothing any more."""
+    q, torque, _ = pressing(hand, [1.0] * 5)
+    state, spoilt = bare(hand, q, q), torque.copy()
+    spoilt[0] = np.nan
+    touch, same = JointTouch(hand, 3.0), JointTouch(hand, 3.0)
+    for one in (touch, same):
+        one(state, torque=torque)
+    for call, said in (
+        (lambda: touch(state, torque=spoilt), "torque is .*; expected finite numbers"),
+        (lambda: touch(state, torque=torque[:14]), r"torque is .*; expected finite .*\(..., 15\)"),
+        (lambda: touch(replace(state, q=q + np.nan), torque=torque), "q is .*; expected finite"),
+        (lambda: touch(replace(state, q_target=q + np.nan)), "q_target is .*; expected finite"),
+        (lambda: touch(state, np.ones(4, bool), torque), r"mask has shape \(4,\)"),
+        (
+            lambda: touch(state, torque=torque, mask=np.ones(2, bool)),
+            r"expected bools of shape \(\)",
+        ),
+        (lambda: touch.reset(np.ones(2, bool)), r"expected bools of shape \(\)"),
+        (lambda: touch("state"), "state is 'state'; expected a GraspState"),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            call()
+    after, before = (one(state, torque=torque) for one in (touch, same))
+    assert after.in_contact.all()
+    np.testing.assert_array_equal(after.contact_force, before.contact_force)
 
 
 def test_a_bad_saved_past(hand: HandModel) -> None:

@@ -98,7 +98,12 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["replay", "a.mcap", "--emulate", "--port", "/dev/x"], "--emulate and --port /dev/x"),
         (["report", "none.mcap"], "cannot read none.mcap"),
         (["calibrate", "--emulate", "--torque-constant", "0"], "--torque-constant is 0.0"),
-        (["calibrate", "--emulate", "--out", "no/such/c.toml"], "its folder does not exist"),
+        # not after somebody has moved every joint
+        (["calibrate", "--out", "tests"], "--out is 'tests'; cannot write there: Is a directory"),
+        (
+            ["run", "sine", "--emulate", "--object", "none", "--object-friction", "0.5"],
+            "--object-friction",
+        ),
     ],
 )
 def test_bad_arguments(

@@ -29,6 +29,13 @@ def test_patience_by_hand() -> None:
         ({"voltage": (12.0, 10.0)}, "voltage is"),
         ({"overruns": (0.5, 0.2)}, "overruns is"),
         ({"command_age": -1.0}, "command_age is -1.0"),
+        ({"command_age": 1e9}, "command_age is 1000000000.0; expected at most 10"),
+        ({"state_age": 1e9}, "state_age is 1000000000.0; expected at most 10"),
+        ({"temperature": 1e9}, "temperature is 1000000000.0; expected at most 100"),
+        ({"voltage": (1e-9, 1e9)}, "voltage is .*; expected .* of 1 to 60 V"),
+        # in the servo's register it would be 0, which is off
+        ({"watchdog": 0.009}, "watchdog is 0.009; expected 0.02 s or more"),
+        ({"watchdog": 3.0}, "watchdog is 3.0; expected at most 2.54"),
     ],
 )
 def test_limits_cannot_be_switched_off(values: dict, said: str) -> None:

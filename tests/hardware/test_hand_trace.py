@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 PERIOD, TICKS = 0.02, 150
 # the emulator's time stands still between ticks; the wall clock says nothing
-LIMITS = Limits(watchdog=2.0, state_age=100.0, command_age=100.0)
+LIMITS = Limits(watchdog=2.0, state_age=10.0, command_age=10.0)
 
 
 def sine(hand: dexctl.HandModel) -> Sine:

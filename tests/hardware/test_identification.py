@@ -193,5 +193,9 @@ def test_logs_that_tell_nothing(
     write_log(other, chirp, list(dex5.joint_names), state="armed")
     assert main(["hardware", "identify", str(other)]) == 2
     assert "holds 0 ticks of a controller" in capsys.readouterr().err
+    nameless = tmp_path / "nameless.mcap"
+    write_log(nameless, chirp, [])
+    assert main(["hardware", "identify", str(nameless), "--hand", "dex5", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["joints"][:2] == ["joint 1", "joint 2"]
     assert main(["hardware", "identify", str(tmp_path / "none.mcap")]) == 2
     assert "No such file" in capsys.readouterr().err

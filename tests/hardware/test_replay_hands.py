@@ -99,6 +99,20 @@ def test_a_log_that_names_no_hand(
     assert "a.mcap does not say which hand it is of; expected --hand" in capsys.readouterr().err
 
 
+def test_what_a_log_does_not_say(
+    dex5: dexctl.HandModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "a.mcap", dex5, limits={"torque_limit": 0.5})
+    words = ["hardware", "replay", str(path), "--hand", "dex5", "--out", str(tmp_path / "out")]
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("a.mcap holds no speed_limit of its run; the log is damaged")
+    assert not (tmp_path / "out").exists()
+    page = ["hardware", "report", str(path), "--out"]
+    assert main([*page, str(tmp_path)]) == 2
+    assert "cannot write there: Is a directory" in capsys.readouterr().err
+
+
 def test_a_log_with_a_hand_file_is_read_from_any_folder(
     mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,7 +24,7 @@ from hardware.bus import Bus
 from hardware.cli import run as commands_run
 from hardware.cli.options import in_a_line, teller
 from hardware.emulator import Emulator
-from hardware.exceptions import ServoError, tell_torque
+from hardware.exceptions import BusError, ServoError, tell_torque
 from hardware.hand import _PATIENCE, ServoHand
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
@@ -117,6 +117,73 @@ def test_a_servo_that_comes_back_is_known_to_be_off(emulator: Emulator, hand: Se
     with pytest.raises(ServoError, match="torque off, confirmed by all 15 servos"):
         hand.arm()
     assert not any(emulator.state()["torque_on"])
+
+
+def test_a_second_ctrl_c_waits_for_the_torque(emulator: Emulator, hand: ServoHand) -> None:
+    """It ended the disarming half-way, and the guard was told that all was done."""
+    write, sent = hand.bus.write, []
+
+    def writing(register, value, ids=None):
+        if register is registers.TORQUE_ENABLE and not sent:
+            sent.append(register)
+            signal.raise_signal(signal.SIGINT)
+        return write(register, value, ids)
+
+    hand.arm()
+    hand.bus.write = writing
+    with pytest.raises(KeyboardInterrupt):
+        hand.disarm()
+    assert sent and not any(emulator.state()["torque_on"])
+    assert hand.torque_report.state is Torque.OFF
+
+
+def test_the_guard_goes_on_where_disarming_ends_half_way(
+    emulator: Emulator, hand: ServoHand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(attempts: int) -> None:
+        raise MemoryError
+
+    hand.arm()
+    monkeypatch.setattr(hand, "_let_go", fails)
+    with pytest.raises(MemoryError):
+        hand.disarm()
+    assert not any(emulator.state()["torque_on"])
+
+
+def test_an_armed_hand_is_not_armed_again(emulator: Emulator, hand: ServoHand) -> None:
+    """The guard of the first time outlived the disarming, and took the torque off later."""
+    hand.arm()
+    with pytest.raises(BusError, match=r"the hand is armed already; disarm\(\) it first"):
+        hand.arm()
+    assert all(emulator.state()["torque_on"])
+    assert hand.disarm().state is Torque.OFF
+    hand.arm()
+    assert hand.disarm().state is Torque.OFF
+
+
+def test_what_ended_a_run_does_not_end_the_next(emulator: Emulator, hand: ServoHand) -> None:
+    runner = Runner(hand, Still(hand.hand, control_period=0.02), needs_tactile=False)
+    runner.interrupt()
+    assert runner.run(5.0).counts[Event.INTERRUPT] == 1
+    again = runner.run(0.2)
+    assert not again.counts[Event.INTERRUPT] and again.counts[Event.FINISHED] == 1
+
+
+@pytest.mark.parametrize("asked", [0, 1, 2])
+def test_a_servo_that_was_rebooted_is_well(asked: int, emulator: Emulator, hand: ServoHand) -> None:
+    """What was known of its health was that of the run before: the next one ended at once."""
+
+    def overload(said: RunEvent) -> None:
+        if said.event is Event.START:
+            emulator.overload(3)
+
+    still = Still(hand.hand, control_period=0.02)
+    runner = Runner(hand, still, needs_tactile=False, on_event=overload)
+    assert runner.run(5.0).outcome is State.FAULT
+    for _ in range(asked):
+        hand.health()
+    hand.bus.reboot(3)
+    assert Runner(hand, still, needs_tactile=False).run(0.3).outcome is State.IDLE
 
 
 def test_a_setting_that_cannot_be_says_that_the_torque_is_off(hand: ServoHand) -> None:

@@ -104,6 +104,27 @@ def test_a_serial_port_that_falls_silent() -> None:
         source.close()
 
 
+def test_what_waited_to_be_read_is_as_old_as_it_may_be() -> None:
+    """Lines that nobody had read for seconds were dated when they were: what had gone was felt."""
+    pytest.importorskip("serial")
+    here, there = os.openpty()
+    source = SerialTactile(os.ttyname(there), 5, most_age=0.2)
+    try:
+        os.write(here, format_line(3, P, N, 2.0))
+        time.sleep(0.5)
+        reading = source.read()
+        assert reading.stale.all() and not reading.in_contact.any()
+        os.write(here, format_line(3, P, N, 2.0))
+        end = time.monotonic() + 5.0
+        while not (reading := source.read()).in_contact[3] and time.monotonic() < end:
+            time.sleep(0.005)
+        assert reading.in_contact[3]  # read often enough it is new
+    finally:
+        source.close()
+        os.close(here)
+        os.close(there)
+
+
 def test_no_such_port() -> None:
     pytest.importorskip("serial")
     with pytest.raises(InvalidInput, match="cannot open the tactile port '/dev/none'"):
