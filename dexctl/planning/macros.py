@@ -33,8 +33,9 @@ class ControllerMacros(Expansion):
     luck, a finger that lets go and lands elsewhere while the others hold, is one action here.
     """
 
-    candidates: int = 2
-    """How many are tried from a node."""
+    candidates: int = 1
+    """How many are tried from a node, of which the nearest to the target that holds is kept. One
+    that holds nearly always gets on; to choose among two takes twice the steps of it."""
     speed: tuple[float, float] = (-0.2, 0.7)
     """Least and greatest speed of the rotation about the axis [rad/s]."""
     wobble: float = 0.1
