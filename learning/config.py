@@ -134,7 +134,7 @@ class TrainConfig:
                 "start_from is 'gravity', which scales gravity, and gravity_tilt or "
                 "gravity_turning_range draws it for each episode; expected one of them"
             )
-        if start in ("grasps", "paths") and draws.size_range is not None:
+        if start in ("grasps", "paths", "explored") and draws.size_range is not None:
             raise InvalidInput(
                 f"start_from is {start!r}, whose grasps are of one size, and size_range is "
                 f"{draws.size_range}; expected one of them"

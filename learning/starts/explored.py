@@ -16,6 +16,7 @@ from learning.starts.config import StartsConfig
 _EACH = 8  # states that are remembered of a step of all environments
 _REFRESH = 100  # steps of all environments after which the newest are started from
 _ROWS = ("q", "q_target", "object_position", "object_quaternion")
+_Memory = tuple[dict[str, np.ndarray], np.ndarray]  # the rows, and which environment each was in
 
 
 class ExploredStarts(Starts):
@@ -38,6 +39,7 @@ class ExploredStarts(Starts):
         self._rows: dict[str, np.ndarray] = {}
         self._objects = np.array(env.objects)
         self._where = np.empty(0, np.int64)  # which environment each row was in
+        self._used: _Memory | None = None  # as it was when it was last started from
         self._turns = 0
 
     def begin(self, path: Path, remark: Remark) -> None:
@@ -50,7 +52,7 @@ class ExploredStarts(Starts):
         self._remember(chosen)
         self._turns += 1
         if self._turns % _REFRESH == 0:
-            self._start_from()
+            self._start_from(_copied(self._rows), self._where.copy())
 
     def _remember(self, chosen: np.ndarray) -> None:
         state, size = self.env.state, len(self._where)
@@ -65,8 +67,9 @@ class ExploredStarts(Starts):
         self._where[slots] = chosen[more:]
         self._where = np.concatenate([self._where, chosen[:more]])
 
-    def _start_from(self) -> None:
-        objects = np.concatenate([self._objects, self._objects[self._where]])
+    def _start_from(self, rows: dict[str, np.ndarray], where: np.ndarray) -> None:
+        self._used = rows, where
+        objects = np.concatenate([self._objects, self._objects[where]])
         weight = np.empty(len(objects))
         for name in np.unique(self._objects):
             own = objects == name
@@ -76,8 +79,8 @@ class ExploredStarts(Starts):
             weight[fixed] = max(1.0 - share, 1e-12) / fixed.sum()
             weight[visited] = max(share, 1e-12) / max(visited.sum(), 1)
         hand = self.env.hand
-        rows: dict[str, Any] = {
-            name: np.concatenate([self._settled[name], self._rows[name]]) for name in _ROWS
+        every: dict[str, Any] = {
+            name: np.concatenate([self._settled[name], rows[name]]) for name in _ROWS
         }
         self.env.simulation.start_from(
             GraspStates(
@@ -85,26 +88,36 @@ class ExploredStarts(Starts):
                 joint_names=np.array(hand.joint_names),
                 object=objects,
                 weight=weight,
-                **rows,
+                **every,
             )
         )
 
     def state_dict(self) -> dict[str, Any]:
+        used = None
+        if self._used is not None:
+            rows, where = self._used
+            used = {"rows": _copied(rows), "where": where.copy()}
         return {
-            "rows": {name: value.copy() for name, value in self._rows.items()},
-            "settled": {name: value.copy() for name, value in self._settled.items()},
+            "rows": _copied(self._rows),
+            "settled": _copied(self._settled),
             "where": self._where.copy(),
+            "used": used,
             "turns": self._turns,
             "random": self._random.bit_generator.state,
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        self._rows = {name: value.copy() for name, value in saved["rows"].items()}
-        self._settled = {name: value.copy() for name, value in saved["settled"].items()}
+        self._rows, self._settled = _copied(saved["rows"]), _copied(saved["settled"])
         self._where, self._turns = saved["where"].copy(), int(saved["turns"])
         self._random.bit_generator.state = saved["random"]
-        if self._turns >= _REFRESH:
-            self._start_from()
+        # the memory has gone on since; earlier checkpoints have nothing but that
+        used = saved.get("used", saved if self._turns >= _REFRESH else None)
+        if used is not None:
+            self._start_from(_copied(used["rows"]), used["where"].copy())
+
+
+def _copied(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: value.copy() for name, value in rows.items()}
 
 
 def _of(state: GraspState, name: str) -> np.ndarray:

@@ -163,18 +163,24 @@ def test_gravity_grows(tmp_path: Path, said: list[str]) -> None:
     assert found == pytest.approx([0.0, 0.0, 0.25, 0.99, 1.0, 1.0])
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_resumed_training_ends_with_the_same_bits(name: str, small: Make, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "cut", "turns"),
+    # explored: in the middle of what is started from, for long enough to begin in it
+    [*((name, 70, 120) for name in NAMES), ("explored", 150, 190)],
+)
+def test_a_resumed_training_ends_with_the_same_bits(
+    name: str, cut: int, turns: int, small: Make, tmp_path: Path
+) -> None:
     pytest.importorskip("torch")
     from learning.training.trainer import resume, train
 
     config = small(
         start_from=name, start_count=20, tree_nodes=30, start_seconds=20, gravity_steps=300,
-        steps=4 * 120, num_envs=4, algorithm="ppo", method="rl", checkpoint_every=240,
+        steps=4 * turns, num_envs=4, algorithm="ppo", method="rl", checkpoint_every=240,
     )  # fmt: skip
     train(config, tmp_path / "whole")
-    train(replace(config, steps=4 * 70), tmp_path / "cut")
-    resume(tmp_path / "cut", 4 * 120)
+    train(replace(config, steps=4 * cut), tmp_path / "cut")
+    resume(tmp_path / "cut", 4 * turns)
     one, other = (np.load(tmp_path / run / "policy.npz") for run in ("whole", "cut"))
     for key in one.files:
         if one[key].dtype.kind == "f":
@@ -279,6 +285,10 @@ def test_a_file_of_falling_starts_is_refused_before_the_run(small: Make, tmp_pat
         (
             {"start_from": "paths", "env__initial_states": Path("x.npz")},
             "'paths' and initial_states",
+        ),
+        (
+            {"start_from": "explored", "env__size_range": (0.9, 1.1)},
+            r"start_from is 'explored', whose grasps are of one size, and size_range is \(0.9, 1.1",
         ),
         ({"tree_expand": "magic"}, "tree_expand is 'magic'; expected 'kinematic' or"),
         ({"start_count": 0}, "start_count is 0"),
