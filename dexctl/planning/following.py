@@ -79,7 +79,10 @@ class PlannedGait(BatchController):
         if mask is None or self._fresh is None:
             self._fresh = None
         else:
-            self._fresh = self._fresh | check_mask(mask, self._fresh.shape)
+            again = check_mask(mask, self._fresh.shape)
+            self._fresh = self._fresh | again
+            # nothing of the path, or of a repair, that was under way
+            self._goal[again], self._clock[again], self._repairs[again] = 0, 0.0, 0
 
     def _allocate(self, count: int) -> Bools:
         self._fresh = np.ones(count, bool)

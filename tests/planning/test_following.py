@@ -88,6 +88,33 @@ def test_it_begins_wherever_the_grasp_is_on_the_tree(l_shape: Scene, part: Tree)
     np.testing.assert_array_equal(gait.diagnostics["node"], expected)
 
 
+def test_hands_that_are_reset_amid_a_repair_begin_as_new_ones_do(
+    l_shape: Scene, part: Tree
+) -> None:
+    route = Route(part, l_shape.hand)
+    late = np.flatnonzero((route.following >= 0) & (route.rotation > 0.5))[[0, -1]]
+    gait = PlannedGait(l_shape.hand, part, misplaced=2e-4)  # fingers are always put down anew
+    with BatchSimulator(l_shape, 2, seed=3, threads=1) as sim:
+        put(sim, part.nodes.take(route.node[late]))
+        for _ in range(5):
+            sim.step()
+        gait.act(sim.read())
+        met = gait.state_dict()["met"]
+        assert met["repairs"].all() and met["goal"].all()
+        mask = np.array([True, False])
+        sim.reset(mask=mask)
+        gait.reset(mask=mask)
+        new = PlannedGait(l_shape.hand, part, misplaced=2e-4)
+        for _ in range(20):
+            state = sim.read()
+            action, expected = gait.act(state), new.act(state)
+            for name in ("node", "finger"):
+                assert gait.diagnostics[name][0] == new.diagnostics[name][0], name
+            np.testing.assert_array_equal(action[0], expected[0])
+            sim.write(state.q_target + action)
+            sim.step()
+
+
 def test_after_a_turn_it_goes_on_from_a_turn_before(cylinder: Scene, whole: Tree) -> None:
     """From the last node but one, past the end, to one near the root; misplaced fingers first."""
     route = Route(whole, cylinder.hand)
