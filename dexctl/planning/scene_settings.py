@@ -38,6 +38,12 @@ class Stepping(NamedTuple):
         return cls(*(known.get(name, getattr(usual, name)) for name in cls._fields))
 
 
+def used_of(config: SceneConfig, name: str) -> SceneConfig:
+    """The settings of ``config`` that planning uses, for the object ``name`` alone."""
+    used = {each: getattr(config, each) for each in USED}
+    return SceneConfig(**{**used, "object": (name,)})
+
+
 def check_used(config: SceneConfig) -> None:
     """Raise InvalidInput where a setting is not as by default that planning would ignore.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dexctl.exceptions import InvalidInput
 from dexctl.planning import grow, path_states, sample_grasps
+from dexctl.planning.scene_settings import used_of
 from dexctl.sim import Scene, SceneConfig
 from dexctl.sim.grasp_states import GraspStates
 from learning.envs.vector import ManipulationVectorEnv
@@ -94,6 +95,7 @@ class PlannedStarts(Starts):
         options: dict[str, Any] = {
             "axis": self.env.config.task.direction, "seed": self._seed, "threads": threads,
             "stability": config.stability,
+            "scene_config": used_of(self.env.config.scene, scene.object),
         }  # fmt: skip
         if config.start_from == "grasps":
             found = sample_grasps(

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from dexctl.exceptions import InvalidInput, UnknownName
-from dexctl.planning import Kinematic, Stability
+from dexctl.planning import Kinematic, RandomActions, Stability
 from dexctl.settings import changed, from_plain, to_plain
-from dexctl.sim import GraspStates, SceneConfig
+from dexctl.sim import BatchSimulator, GraspStates, SceneConfig
+from dexctl.sim.sensing import Sensing
 from learning.config import TrainConfig
 from learning.envs import EnvConfig, ManipulationVectorEnv
 from learning.starts.catalogue import make_starts
@@ -89,6 +90,39 @@ def test_trees_and_samples_take_their_settings(tmp_path: Path, said: list[str]) 
     make_starts(grasps, env(2), 0).begin(tmp_path / "grasps.npz", said.append)
     settings = json.loads(GraspStates.load(tmp_path / "grasps.npz").meta)["settings"]
     assert settings["stability"] == to_plain(loose)
+
+
+@pytest.mark.parametrize("start_from", ["paths", "grasps"])
+def test_plans_are_stepped_as_the_environments_are(
+    start_from: Any, tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, seen = env(2, control_period=0.02, substeps=5, object=("cylinder", "sphere")), set()
+
+    class Looked(BatchSimulator):
+        def __init__(self, *arguments: Any, **keywords: Any) -> None:
+            super().__init__(*arguments, **keywords)
+            if self.num_envs != 1:  # the root's is looked at only
+                seen.add((self.control_period, self.substeps))
+
+    monkeypatch.setattr("dexctl.sim.BatchSimulator", Looked)
+    config = StartsConfig(
+        start_from=start_from, start_count=3, tree_nodes=12, start_seconds=20,
+        tree_expand="random", tree=TreeConfig(random=RandomActions(batch=4)),
+    )  # fmt: skip
+    make_starts(config, made, 0).begin(tmp_path / "starts.npz", said.append)
+    assert seen == {(0.02, 5)}
+    states = GraspStates.load(tmp_path / "starts.npz")
+    assert sorted(set(states.object)) == ["cylinder", "sphere"]
+
+
+def test_a_plan_says_of_which_scene_it_is(tmp_path: Path, said: list[str]) -> None:
+    """Its noise is the training's alone."""
+    config = StartsConfig(start_from="grasps", start_count=2, start_seconds=20)
+    made = env(2, control_period=0.02, sensing=Sensing(joint_noise=0.01))
+    make_starts(config, made, 0).begin(tmp_path / "starts.npz", said.append)
+    scene = json.loads(GraspStates.load(tmp_path / "starts.npz").meta)["scene"]
+    expected = SceneConfig(object=("cylinder",), control_period=0.02, threads=1)
+    assert from_plain(SceneConfig, scene) == expected
 
 
 @pytest.mark.parametrize("way", EXPANDS)
