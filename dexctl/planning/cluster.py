@@ -13,9 +13,11 @@ from dexctl.exceptions import DexctlError
 from dexctl.files import aside, make_parent
 from dexctl.planning.expansion import Expansion
 from dexctl.planning.grow import Progress
+from dexctl.planning.parts import part_seed
 from dexctl.planning.processes import (
     LOOK,
     begin_parts,
+    check_arguments,
     grow_part,
     merge_parts,
     share_of,
@@ -59,7 +61,8 @@ def grow_on_cluster(
         ClusterError: no cluster at the address.
         InvalidInput, SimulationError: as `grow_in_processes`.
     """
-    target, seed = make_parent(path), check_seed(seed)
+    check_arguments(scene_config, expansion, arguments)
+    seed, target = check_seed(seed, 0), make_parent(path)
     ray = connect(address)
     try:
         jobs = cores(ray) if jobs is None else jobs
@@ -71,7 +74,7 @@ def grow_on_cluster(
             task.remote(
                 absolute(scene_config, here), absolute(expansion, here), i, board,
                 part.read_bytes() if part.exists() else None,
-                nodes=share, seed=seed + i, **arguments,
+                nodes=share, seed=part_seed(seed, i), **arguments,
             )
             for i, part in enumerate(parts)
         ]  # fmt: skip
@@ -89,7 +92,7 @@ def grow_on_cluster(
         finally:
             ray.wait(tasks, num_returns=len(tasks), timeout=_TO_STOP)
             _write(ray.get(board.look.remote())[1], parts)
-            tree, grown = merge_parts(parts, target)
+            tree, grown = merge_parts(parts, target, seed)
         return what_grew(tree, grown, jobs, "tasks", next(filter(None, _said(ray, tasks)), ""))
     finally:
         ray.shutdown()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
@@ -111,13 +111,13 @@ def grow(
     bounds = Bounds() if bounds is None else bounds
     stability = Stability() if stability is None else stability
     goals = GoalOrientations() if goals is None else goals
-    _check_kinds(
+    check_kinds(
         (Scene, "scene", scene), (Expansion, "expansion", expansion), (Metric, "metric", metric),
         (Bounds, "bounds", bounds), (Stability, "stability", stability),
         (GoalOrientations, "goals", goals), (Tree, "tree", tree),
         (SceneConfig, "scene_config", scene_config),
     )  # fmt: skip
-    seed = check_seed(seed)
+    seed = check_seed(seed, 0)
     check_ends(nodes, seconds, until_rotation, bounds, goals)
     root = root_of(scene)
     frame = Frame.of(axis, root)
@@ -134,10 +134,11 @@ def grow(
             scene_config if scene_config is not None or tree is None else tree.header.scene
         ),
     )
-    expander, new = expansion.open(problem), tree is None
+    # one that is refused is none, and never written to the path
+    expander, given, tree = expansion.open(problem), tree, None
     try:
-        tree = _begin(problem, expansion, goals, expander.action_names, seed, scene_config, tree)
-        if path is not None and new:  # what is stopped in the first seconds can be resumed too
+        tree = _begin(problem, expansion, goals, expander.action_names, seed, scene_config, given)
+        if path is not None and given is None:  # what is stopped at once can be resumed too
             tree.save(path)
         before = tree.header.expansions
         search = Nearest(len(scene.hand.joint_names) + 6)
@@ -214,10 +215,12 @@ def stuck(tree: Tree) -> str:
     )
 
 
-def _check_kinds(*those: tuple[type, str, object]) -> None:
+def check_kinds(
+    *those: tuple[type, str, object], optional: Sequence[type] = (Tree, SceneConfig)
+) -> None:
+    """Raise InvalidInput where a value is not of its class; None is, where that is optional."""
     for kind, name, value in those:
-        optional = kind in (Tree, SceneConfig) and value is None
-        if not (optional or isinstance(value, kind)):
+        if not (isinstance(value, kind) or (value is None and kind in optional)):
             made = ", as Kinematic() is one" if kind is Expansion else ""
             raise InvalidInput(f"{name} is {shown(value)}; expected of class {kind.__name__}{made}")
 
@@ -275,7 +278,7 @@ def _begin(
         return Tree(header, problem.root)
     tree.header.check_same(header)
     tree.header.check_settings(settings)
-    tree.header.scene = header.scene or tree.header.scene
     if not np.allclose(tree.nodes.q[0], problem.root.q[0], atol=1e-6):
         raise InvalidInput("the tree has another root than the scene's settled grasp")
+    tree.header.scene = header.scene or tree.header.scene
     return tree

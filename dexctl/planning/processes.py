@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import multiprocessing
 import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.context import SpawnContext
 from pathlib import Path
@@ -21,8 +22,8 @@ from dexctl.files import make_parent
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expansion
 from dexctl.planning.goals import GoalOrientations
-from dexctl.planning.grow import Progress, check_ends, grow
-from dexctl.planning.parts import part_file, part_files
+from dexctl.planning.grow import Progress, check_ends, check_kinds, grow
+from dexctl.planning.parts import part_file, part_files, part_seed
 from dexctl.planning.tree import Tree
 from dexctl.sim import SceneConfig
 from dexctl.validation import check_seed
@@ -30,6 +31,10 @@ from dexctl.validation import check_seed
 LOOK = 0.2
 """Between looks at how far the trees are [s]."""
 _ROOM = 4096  # for what a process shows of its tree [bytes]
+_GIVEN = {
+    "scene", "expansion", "nodes", "seed", "threads", "tree", "scene_config", "path", "progress",
+}  # fmt: skip
+"""Of `grow`, what its processes are not given as they are."""
 
 
 def grow_in_processes(
@@ -44,7 +49,7 @@ def grow_in_processes(
     progress: Callable[[Progress], object] | None = None,
     **arguments: Any,
 ) -> Tree:
-    """As `grow`, by ``jobs`` processes with the seeds ``seed + i``, one thread each.
+    """As `grow`, by ``jobs`` processes, one thread each, whose seeds are drawn from ``seed``.
 
     Each grows a tree of its own from the settled grasp; when one has turned far enough all stop,
     and the trees become one. That file is written when all are done, also after Ctrl-C; those of
@@ -56,16 +61,20 @@ def grow_in_processes(
         jobs: how many processes.
         path: where the merged tree is written.
         nodes: of all trees together.
-        seed: of the first process.
-        resume: go on with the files of the processes; one that has none begins anew.
+        seed: of the first process; those of the others are `part_seed`.
+        resume: go on with the files of the processes, each with its own seed; one that has none
+            begins anew.
         progress: called several times a second with the sums, and the greatest rotation.
 
     Raises:
-        InvalidInput: as `grow`, no whole number of processes, or there are files of processes
-            already that no tree has been made of, and they are not to be gone on with.
+        InvalidInput: as `grow`, no such keyword, more than one object, no whole number of
+            processes, or there are files of processes already that no tree has been made of, and
+            they are not to be gone on with; or those to go on with are damaged, more than
+            ``jobs``, or the tree is not made of any.
         SimulationError: a process ended without a tree.
     """
-    target, seed, share = make_parent(path), check_seed(seed), share_of(nodes, jobs)
+    check_arguments(scene_config, expansion, arguments)
+    seed, share, target = check_seed(seed, 0), share_of(nodes, jobs), make_parent(path)
     parts = begin_parts(target, jobs, resume)
     context = multiprocessing.get_context("spawn")
     stop, shown = context.Event(), _Shown(context, jobs)
@@ -74,7 +83,7 @@ def grow_in_processes(
         context.Process(
             target=_work,
             args=(scene_config, expansion, part, i, stop, shown, errors),
-            kwargs={"nodes": share, "seed": seed + i, **arguments},
+            kwargs={"nodes": share, "seed": part_seed(seed, i), **arguments},
             daemon=True,
         )
         for i, part in enumerate(parts)
@@ -95,7 +104,7 @@ def grow_in_processes(
         for worker in workers:
             if worker.pid is not None:  # it was started
                 worker.join()
-        tree, grown = merge_parts(parts, target)
+        tree, grown = merge_parts(parts, target, seed)
     return what_grew(tree, grown, jobs, "processes", "" if errors.empty() else errors.get())
 
 
@@ -130,18 +139,51 @@ def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:
     Those that an earlier ``target`` was made of go, but to resume.
 
     Raises:
-        InvalidInput: no whole number above 0, or files that no tree has been made of.
+        InvalidInput: no whole number above 0, or files that no tree has been made of. To resume:
+            more files than ``jobs``, one that is damaged, or a ``target`` that is of none.
     """
     _check_jobs(jobs)
-    old = [] if resume else part_files(target)
-    if old and not target.exists():  # of a run that was killed
+    old = part_files(target)
+    if resume:
+        _check_parts(target, old, jobs)
+    elif old and not target.exists():  # of a run that was killed
         raise InvalidInput(
             f"{target.parent} has the trees of {len(old)} processes, which are not in "
             f"{target.name} yet; expected resume=True, which goes on with them, or another path"
         )
-    for part in old:
+    for part in () if resume else old:
         part.unlink(missing_ok=True)
     return [part_file(target, i) for i in range(jobs)]
+
+
+def _check_parts(target: Path, parts: Sequence[Path], jobs: int) -> None:
+    """Raise InvalidInput where the tree of these would lack what an earlier ``target`` has."""
+    if len(parts) > jobs:
+        raise InvalidInput(
+            f"jobs is {jobs}; {target.parent} has the trees of {len(parts)} processes, expected "
+            "as many to go on with them"
+        )
+    if target.exists() and not parts:
+        raise InvalidInput(f"{target} is not of several processes; expected grow(tree=...)")
+    for part in parts:
+        if part.exists():
+            Tree.load(part)
+
+
+def check_arguments(
+    scene_config: SceneConfig, expansion: Expansion, arguments: Mapping[str, Any]
+) -> None:
+    """Raise InvalidInput for what would end every process with a traceback of its own."""
+    check_kinds(
+        (SceneConfig, "scene_config", scene_config), (Expansion, "expansion", expansion),
+        optional=(),
+    )  # fmt: skip
+    if len(scene_config.object) != 1:
+        raise InvalidInput(f"object is {' '.join(scene_config.object)}; expected one")
+    known = [name for name in inspect.signature(grow).parameters if name not in _GIVEN]
+    for name in arguments:
+        if name not in known:
+            raise InvalidInput(f"there is no keyword {name!r}; known ones: {', '.join(known)}")
 
 
 def _check_jobs(jobs: int) -> None:
@@ -180,17 +222,30 @@ def grow_part(
     return bool(arrived or (until is not None and tree.rotation.max() >= until))
 
 
-def merge_parts(parts: Sequence[Path], target: Path) -> tuple[Tree | None, int]:
-    """Write the tree of those files that are one to ``target``; it, and of how many it is."""
-    trees = []
-    for part in parts:
+def merge_parts(parts: Sequence[Path], target: Path, seed: int) -> tuple[Tree | None, int]:
+    """Write the tree of those files that are one to ``target``; it, and of how many it is.
+
+    A ``target`` that has more nodes than what could be read of its files is left as it is.
+    """
+    trees = dict[int, Tree]()
+    for number, part in enumerate(parts):
         with suppress(InvalidInput):
-            trees.append(Tree.load(part))
+            trees[number] = Tree.load(part)
     if not trees:
         return None, 0
-    tree = Tree.merge(trees)
-    tree.save(target)
+    tree = Tree.merge(list(trees.values()))
+    if 0 not in trees:  # whose seed is that of all
+        tree.header.seed = seed
+    if len(trees) == len(parts) or len(tree) >= _nodes_of(target):
+        tree.save(target)
     return tree, len(trees)
+
+
+def _nodes_of(target: Path) -> int:
+    """How many nodes the tree in the file has; 0 where there is none."""
+    with suppress(InvalidInput):
+        return len(Tree.load(target))
+    return 0
 
 
 def what_grew(tree: Tree | None, grown: int, jobs: int, those: str, why: str) -> Tree:

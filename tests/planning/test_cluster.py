@@ -13,7 +13,7 @@ from dexctl.cluster import ClusterError, connect
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.planning import Progress, RandomActions, Tree, grow, grow_on_cluster
 from dexctl.planning.cluster import Board
-from dexctl.planning.parts import part_files
+from dexctl.planning.parts import part_files, part_seed
 from dexctl.sim import SceneConfig
 
 
@@ -45,12 +45,13 @@ def test_tasks_grow_what_each_would_have_grown_and_are_resumed(
         config, expansion, address, 2, path=path, nodes=8, seed=5, progress=seen.append
     )
     (scene,) = config.scenes()
-    alone = [grow(scene, expansion, nodes=5, seed=5 + i, threads=1) for i in range(2)]
+    seeds = [part_seed(5, i) for i in range(2)]
+    alone = [grow(scene, expansion, nodes=5, seed=seed, threads=1) for seed in seeds]
     np.testing.assert_array_equal(first.rotation, Tree.merge(alone).rotation)
     assert seen and len(Tree.load(path)) == len(first)
     assert [part.name for part in part_files(path)] == [".tree.0.npz", ".tree.1.npz"]
     more = grow_on_cluster(config, expansion, address, path=path, nodes=16, seed=5, resume=True)
-    whole = [grow(scene, expansion, nodes=9, seed=5 + i, threads=1) for i in range(2)]
+    whole = [grow(scene, expansion, nodes=9, seed=seed, threads=1) for seed in seeds]
     np.testing.assert_array_equal(more.rotation, Tree.merge(whole).rotation)
     with pytest.raises(InvalidInput, match="the tree is of the gravity"):
         grow_on_cluster(

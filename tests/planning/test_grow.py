@@ -211,7 +211,7 @@ def test_a_tree_goes_on_and_merges_with_the_same_settings_only(
         grow(cylinder, RandomActions(batch=8), nodes=99, tree=other, scene_config=config)
 
 
-def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
+def test_what_grow_refuses(cylinder: Scene, small: Tree, tmp_path: Path) -> None:
     class Never(Expansion):
         def open(self, problem):
             raise AssertionError("no expansion is to be opened")
@@ -224,6 +224,7 @@ def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
         ({"nodes": 5, "axis": (0, 0, 0)}, "axis"),
         ({"nodes": "many"}, "nodes is 'many'; expected a number above 0"),
         ({"nodes": 5, "seed": "a"}, "seed is 'a'; expected a whole number"),
+        ({"nodes": 5, "seed": -1}, "seed is -1; expected a whole number from 0 on"),
         ({"goals": [(1, 0, 0, 0)]}, r"goals is \[.*; expected of class GoalOrientations"),
         ({"nodes": 5, "metric": 3}, "metric is 3; expected of class Metric"),
     ):
@@ -233,8 +234,12 @@ def test_what_grow_refuses(cylinder: Scene, small: Tree) -> None:
     with pytest.raises(InvalidInput, match="expansion is 'kinematic'; expected of class Expansion"):
         grow(cylinder, named, nodes=5)
     down = Scene.build("dex5", "cylinder", "down")
+    path, header = tmp_path / "tree.npz", small.header.to_plain()
+    path.write_bytes(b"another tree")
     with pytest.raises(InvalidInput, match="the tree is of the gravity"):
-        grow(down, RandomActions(batch=2), nodes=30, tree=small, threads=1)
+        grow(down, RandomActions(batch=2), nodes=30, tree=small, threads=1, path=path)
+    # a tree that is not gone on with neither is written nor becomes another one
+    assert path.read_bytes() == b"another tree" and small.header.to_plain() == header
     pair: Any = 3
     one: Any = (0,)
     for make, why in (
