@@ -149,10 +149,11 @@ class PPO(Algorithm):
         for _ in range(epochs):
             rows = order.permutation(len(action))
             for first in range(0, len(rows), batch_size):
-                index = torch.as_tensor(rows[first : first + batch_size])
+                index = torch.as_tensor(rows[first : first + batch_size], device=self.device)
                 mean = torch.tanh(self.actor(seen[index])[0])
                 optimizer.zero_grad()
-                squared_cloning(wanted[index], mean, torch.ones(len(index), 1)).backward()
+                alike = torch.ones(len(index), 1, device=self.device)
+                squared_cloning(wanted[index], mean, alike).backward()
                 optimizer.step()
 
     def act(self, observation: np.ndarray) -> np.ndarray:

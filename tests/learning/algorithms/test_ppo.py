@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("torch")
 
 import torch
+from torch.overrides import TorchFunctionMode
 
 from dexctl.exceptions import InvalidInput
 from learning.algorithms import PPO, PPOConfig, Transitions
@@ -40,6 +41,26 @@ def step(agent: PPO, rng: np.random.Generator) -> None:
         Transitions(observation, action, rng.normal(size=3), observation + 1, ended, ended)
     )
     agent.update()
+
+
+class Placed(TorchFunctionMode):
+    """Tensors that are made have a device: without, they would be where the algorithm may not be."""
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        if function in (torch.as_tensor, torch.full, torch.ones, torch.randn, torch.zeros):
+            assert kwargs and "device" in kwargs, function
+        return function(*args, **(kwargs or {}))
+
+
+def test_all_is_done_on_one_device() -> None:
+    agent, rng = make(), np.random.default_rng(0)
+    with Placed():
+        agent.imitate(
+            rng.normal(size=(6, 4)), np.tanh(rng.normal(size=(6, 2))),
+            epochs=1, batch_size=4, seed=0,
+        )  # fmt: skip
+        for _ in range(4):
+            step(agent, rng)
 
 
 def test_advantages_by_hand() -> None:
