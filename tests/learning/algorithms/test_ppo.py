@@ -44,7 +44,7 @@ def step(agent: PPO, rng: np.random.Generator) -> None:
 
 
 class Placed(TorchFunctionMode):
-    """Tensors that are made have a device: without, they would be where the algorithm may not be."""
+    """Tensors that are made have a device: else they are where the algorithm may not be."""
 
     def __torch_function__(self, function, types, args=(), kwargs=None):
         if function in (torch.as_tensor, torch.full, torch.ones, torch.randn, torch.zeros):
