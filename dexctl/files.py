@@ -4,11 +4,32 @@ from __future__ import annotations
 
 import errno
 import os
+import struct
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from dexctl.exceptions import InvalidInput
+
+DAMAGED = (
+    EOFError,
+    LookupError,
+    MemoryError,  # of a parser, for what is nested too deep
+    OSError,
+    OverflowError,
+    RuntimeError,  # among them RecursionError and NotImplementedError; and an encrypted file
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""All that zipfile, numpy's reader of headers and the JSON reader raise for what is not theirs."""
 
 
 @contextmanager

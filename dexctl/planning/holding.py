@@ -44,7 +44,7 @@ def holding(
         threads: of the physics; None: every core.
 
     Raises:
-        InvalidInput: another hand, object or gravity than the tree's.
+        InvalidInput: another hand, object or gravity than the tree's, or no nodes of it.
     """
     from dexctl.sim import BatchSimulator
 
@@ -53,7 +53,7 @@ def holding(
     if not (same and np.allclose(header.gravity, scene.gravity)):
         raise InvalidInput(f"the tree is {tree!r} under {header.gravity}; the scene is {scene!r}")
     check = stability or _lasting(tree)
-    nodes = tree.nodes if index is None else tree.nodes.take(index)
+    nodes = tree.nodes if index is None else tree.nodes.take(tree.chosen(index))
     found = np.zeros(len(nodes), bool)
     stepping = Stepping.of(header.scene)._asdict()
     with BatchSimulator(scene, batch, disturbance=0.0, threads=threads, **stepping) as sim:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput
 from dexctl.files import make_parent
 from dexctl.planning.contacts import ContactModel
+from dexctl.planning.grow import check_kinds
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.metric import Metric, Nearest
 from dexctl.planning.nodes import Frame, Nodes, children, put, root_of
@@ -27,7 +28,7 @@ from dexctl.sim import SceneConfig
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Bools, Floats
 from dexctl.switch.landing import split, turned
-from dexctl.validation import check_name, check_numbers, check_seed, check_whole
+from dexctl.validation import check_name, check_numbers, check_seed, check_whole, number, shown
 
 if TYPE_CHECKING:
     from dexctl.sim import BatchSimulator, Scene
@@ -58,7 +59,7 @@ class GraspSampling:
     settle_seconds: float = 0.5
     """Simulated before contacts are counted (t_s) [s]."""
     min_contacts: int = 3
-    """Fewest fingertips that touch then (n_c,min)."""
+    """Fewest fingertips that touch then (n_c,min), no fewer than `Stability` asks for later."""
     apart: float = 0.1
     """Grasps nearer than this to one that is kept are not distinct, by the metric."""
     batch: int = 128
@@ -117,7 +118,7 @@ def sample_grasps(
     Args:
         scene: hand, object and gravity.
         count: how many distinct ones are wanted.
-        sampling: None: its defaults.
+        sampling: None: its defaults, with the `min_contacts` of ``stability``.
         axis: about which the object lies any way round. Fingertips stand around the direction that
             the palm looks in, whatever the axis.
         seed: of the random numbers.
@@ -133,18 +134,25 @@ def sample_grasps(
         progress: called with the number of grasps so far.
 
     Raises:
-        InvalidInput: no such number of grasps or seed, ``path`` cannot be written; or none was
-            found at all.
+        InvalidInput: no such number of grasps, seed, time or settings, a check that asks for more
+            contacts than are sampled, ``path`` cannot be written; or none was found at all.
         SimulationError: the object does not stay in the hand.
     """
-    from dexctl.sim import BatchSimulator
+    from dexctl.sim import BatchSimulator, Scene
 
-    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
-        raise InvalidInput(f"count is {count!r}; expected a whole number above 0")
+    for name, value in (("count", count), ("most_tried", 1 if most_tried is None else most_tried)):
+        if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < 1:
+            raise InvalidInput(f"{name} is {shown(value)}; expected a whole number above 0")
     seed = check_seed(seed, 0)
     file = None if path is None else make_parent(path)
-    config, metric = sampling or GraspSampling(), metric or Metric()
-    check = stability or Stability(min_contacts=config.min_contacts)
+    metric = Metric() if metric is None else metric
+    config, check = _settings(sampling, stability)
+    check_kinds(
+        (Scene, "scene", scene), (Metric, "metric", metric),
+        (SceneConfig, "scene_config", scene_config),
+    )  # fmt: skip
+    if seconds is not None:
+        number("seconds", seconds, 0.0, np.finfo(float).max, "a number above 0", above=True)
     root = root_of(scene)
     frame = Frame.of(axis, root)
     draw = _Draws(scene, frame, root, config)
@@ -183,6 +191,26 @@ def sample_grasps(
         )
     nodes, states = _first(found, count, header, scene)
     return SampledGrasps(nodes, states, header.expansions, header.refused, header.seconds)
+
+
+def _settings(
+    sampling: GraspSampling | None, stability: Stability | None
+) -> tuple[GraspSampling, Stability]:
+    """Both, with the `min_contacts` of the one that is given where the other is not."""
+    if stability is None:
+        config = GraspSampling() if sampling is None else sampling
+        check_kinds((GraspSampling, "sampling", config))
+        return config, Stability(min_contacts=config.min_contacts)
+    check_kinds((Stability, "stability", stability))
+    least = stability.min_contacts
+    config = GraspSampling(min_contacts=least) if sampling is None else sampling
+    check_kinds((GraspSampling, "sampling", config))
+    if config.min_contacts < least:  # it would be of no effect
+        raise InvalidInput(
+            f"sampling.min_contacts is {config.min_contacts} and stability.min_contacts {least}, "
+            "which are fingertips that touch later on; expected no more of them than at first"
+        )
+    return config, stability
 
 
 def _first(

@@ -14,7 +14,7 @@ from dexctl.planning.holding import holding
 from dexctl.planning.tree import Tree
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Floats
-from dexctl.validation import check_name
+from dexctl.validation import check_name, check_seed
 
 if TYPE_CHECKING:
     from dexctl.sim import Scene
@@ -59,13 +59,14 @@ def path_states(
         seed: of the even goals.
 
     Raises:
-        InvalidInput: no such number, goals or weights; a scene that is not the tree's; or no state
-            holds.
+        InvalidInput: no such number, seed, goals or weights; a scene that is not the tree's; or no
+            state holds.
     """
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
         raise InvalidInput(f"count is {count!r}; expected a whole number above 0")
     check_name("goals", goals, GOALS)
     check_name("weights", weights, WEIGHTS)
+    seed = check_seed(seed, 0)
     rows = _rows(tree, int(count), _ends(tree.rotation, goals, np.random.default_rng(seed)))
     tried = len(rows)
     if scene is not None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput, MissingExtra
-from dexctl.files import aside
+from dexctl.files import DAMAGED, aside
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.nodes import NODE_FIELDS, Frame, Nodes
 from dexctl.planning.parts import part_files
@@ -139,7 +137,7 @@ class Tree:
         """
         header, nodes = self.header, self.nodes
         if index is not None:
-            index = self._chosen(index)
+            index = self.chosen(index)
         states = GraspStates(
             hand=header.hand,
             q=nodes.q.copy(),
@@ -153,8 +151,12 @@ class Tree:
         )
         return states if index is None else states.take(index)
 
-    def _chosen(self, index: ArrayLike) -> Indices | NDArray[np.bool_]:
-        """``index``, which has numbers of nodes, those from the end negative, or is a mask."""
+    def chosen(self, index: ArrayLike) -> Indices | NDArray[np.bool_]:
+        """``index``, which has numbers of nodes, those from the end negative, or is a mask.
+
+        Raises:
+            InvalidInput: it has neither, or none.
+        """
         count = len(self)
         try:
             found = np.asarray(index)
@@ -323,14 +325,14 @@ class Tree:
         try:
             with np.load(path, allow_pickle=False) as stored:
                 values = {name: stored[name] for name in stored.files}
-        except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except DAMAGED as error:
             raise InvalidInput(f"{what} cannot be read: {error}") from None
         missing = [name for name in (*_COLUMNS, "meta") if name not in values]
         if missing:
             raise InvalidInput(f"{what} lacks {', '.join(missing)}; it is no tree")
         try:
             return cls._of(TreeHeader.from_plain(json.loads(str(values["meta"]))), values)
-        except (InvalidInput, ValueError, TypeError, KeyError) as error:
+        except DAMAGED as error:  # InvalidInput is a ValueError
             raise InvalidInput(f"{what}: {error}") from None
 
     @classmethod
@@ -348,6 +350,9 @@ class Tree:
                 raise InvalidInput(f"{name} has shape {values[name].shape}; expected {expected}")
             if name != "action" and not np.isfinite(values[name]).all():
                 raise InvalidInput(f"{name} has numbers that are not finite")
+        length = np.linalg.norm(values["object_quaternion"], axis=1)
+        if not (np.abs(length - 1.0) < 0.01).all():
+            raise InvalidInput("object_quaternion has rows that are not of unit length")
         parent = values["parent"]
         if parent[0] != -1 or (parent[1:] < 0).any() or (parent >= np.arange(count)).any():
             raise InvalidInput("parents do not stand before their children; it is no tree")

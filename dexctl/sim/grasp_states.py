@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
-from dexctl.files import aside
+from dexctl.files import DAMAGED, aside
 from dexctl.hand import HandModel
 from dexctl.state import Floats
 
@@ -203,7 +201,7 @@ class GraspStates:
             with np.load(path, allow_pickle=False) as stored:
                 missing = [name for name in names if name not in stored and name not in _OPTIONAL]
                 values = {name: stored[name] for name in names if name in stored}
-        except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except DAMAGED as error:
             raise InvalidInput(f"{what} cannot be read: {error}") from None
         if missing:
             needed = ", ".join(name for name in names if name not in _OPTIONAL)

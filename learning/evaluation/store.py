@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ import numpy as np
 import dexctl
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
-from dexctl.files import aside
+from dexctl.files import DAMAGED, aside
 from dexctl.settings import changed, get, paths, to_plain
 from learning.evaluation.figures import Evaluation
 from learning.evaluation.protocol import Protocol
@@ -125,5 +124,5 @@ def _read(path: Path, about: str, name: str, protocol: Protocol) -> Evaluation |
                 return None
             arrays = {key: stored[key] for key in _ARRAYS}
             return Evaluation(object=name, protocol=protocol, **arrays)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except DAMAGED:
         return None

@@ -12,10 +12,7 @@ each than the archive holds, and nothing is unpickled.
 from __future__ import annotations
 
 import json
-import struct
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from math import prod
 from pathlib import Path
@@ -29,7 +26,7 @@ from numpy.typing import ArrayLike
 
 import dexctl
 from dexctl.exceptions import InvalidInput
-from dexctl.files import aside, write_text
+from dexctl.files import DAMAGED, aside, write_text
 from learning.envs.history import check_steps
 from learning.envs.observation import VERSION
 from learning.policies.policy import Layer, PolicySpec, check_layers
@@ -39,22 +36,6 @@ LARGEST = 2**30  # of a policy file, unpacked [bytes]
 LARGEST_CARD = 2**24  # [bytes], four for a character
 _COMPRESSED = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-# all that zipfile, numpy's reader of headers and the JSON reader raise for what is not theirs
-_DAMAGED = (
-    EOFError,
-    LookupError,
-    MemoryError,  # of a parser, for what is nested too deep
-    OSError,
-    OverflowError,
-    RuntimeError,  # among them RecursionError and NotImplementedError; and an encrypted file
-    SyntaxError,
-    TypeError,
-    ValueError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 class Stored(NamedTuple):
@@ -121,7 +102,7 @@ def read(path: Path) -> Stored:
         card = json.loads(text)
     except FileNotFoundError:
         raise InvalidInput(f"policy {str(path)!r}: no such file") from None
-    except _DAMAGED as error:  # InvalidInput is a ValueError
+    except DAMAGED as error:  # InvalidInput is a ValueError
         what = " ".join(str(error).split()) or type(error).__name__
         raise InvalidInput(f"{str(path)!r} is not a policy file: {what[:200]}") from None
     try:

@@ -229,6 +229,7 @@ def test_what_fails_leaves_no_folder_and_one_line(
         ["--nodes", "-1"],
         ["--expand", "followed", "--followed.tree", "no.npz"],
         ["--until-rotation", "30"],
+        ["--nodes", "3", "--seed", "-1"],
         ["--resume"],
         ["--object", "cube", "--object-mass", "5"],
     ):

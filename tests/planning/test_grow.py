@@ -257,6 +257,19 @@ def test_what_grow_refuses(cylinder: Scene, small: Tree, tmp_path: Path) -> None
             make()
 
 
+def test_nodes_that_are_to_hold_are_the_trees(cylinder: Scene, small: Tree) -> None:
+    count = len(small)
+    wrong: Any
+    for wrong in ([count], [0.5], np.ones(count + 1, bool), [-count - 1], "a"):
+        with pytest.raises(InvalidInput, match="index is .*; expected numbers of nodes, 0 to"):
+            holding(cylinder, small, wrong)
+    mask = np.arange(count) < 2
+    np.testing.assert_array_equal(
+        holding(cylinder, small, mask, threads=1, batch=2),
+        holding(cylinder, small, [0, 1], threads=1, batch=2),
+    )
+
+
 def test_nodes_are_rows(small: Tree) -> None:
     nodes = small.nodes
     again = Nodes.concatenate([nodes.take([0]), nodes.take(np.arange(1, len(nodes)))])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,7 +110,38 @@ def test_what_sampling_refuses(l_shape: Scene) -> None:
         GraspSampling(place="elbows")
     hard = Stability(min_contacts=5, max_distance=1e-9)
     with pytest.raises(InvalidInput, match="none of 32 random grasps of Scene"):
-        sample_grasps(l_shape, 2, GraspSampling(batch=32), stability=hard, most_tried=32, threads=1)
+        sample_grasps(
+            l_shape, 2, GraspSampling(batch=32, min_contacts=5), stability=hard, most_tried=32,
+            threads=1,
+        )  # fmt: skip
+    with pytest.raises(
+        InvalidInput, match=r"sampling\.min_contacts is 2 and stability\.min_contacts 3, which"
+    ):
+        sample_grasps(l_shape, 2, GraspSampling(min_contacts=2), stability=Stability())
+    wrong: dict[str, Any]
+    for wrong, why in (
+        ({"seconds": float("nan")}, "seconds is nan; expected a number above 0"),
+        ({"seconds": -1}, "seconds is -1; expected a number above 0"),
+        ({"seconds": "x"}, "seconds is 'x'; expected a number above 0"),
+        ({"most_tried": -1}, "most_tried is -1; expected a whole number above 0"),
+        ({"most_tried": 2.5}, "most_tried is 2.5; expected a whole number above 0"),
+        ({"stability": 5}, "stability is 5; expected of class Stability"),
+        ({"sampling": {}}, "sampling is {}; expected of class GraspSampling"),
+        ({"metric": 0}, "metric is 0; expected of class Metric"),
+        ({"scene_config": {}}, "scene_config is {}; expected of class SceneConfig"),
+    ):
+        with pytest.raises(InvalidInput, match=why):
+            sample_grasps(l_shape, 2, **wrong)
+
+
+def test_fewest_contacts_are_said_once(l_shape: Scene) -> None:
+    for given in (
+        {"sampling": GraspSampling(min_contacts=2, batch=32)},
+        {"stability": Stability(min_contacts=2)},
+    ):
+        found = sample_grasps(l_shape, 1, seed=0, threads=1, **given)
+        settings = json.loads(found.states.meta)["settings"]
+        assert settings["sampling"]["min_contacts"] == settings["stability"]["min_contacts"] == 2
 
 
 def test_rotation_vectors_and_back() -> None:

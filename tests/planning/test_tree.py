@@ -156,6 +156,8 @@ def test_files_that_are_no_trees(tmp_path: Path) -> None:
         ("q", np.full((7, 2), np.nan), "q has numbers that are not finite"),
         ("q", np.zeros((7, 3)), r"q has shape \(7, 3\); expected \(7, 2\)"),
         ("meta", np.asarray("{}"), "its format is None; expected 1"),
+        ("in_contact", np.asarray(True), "tuple index out of range"),
+        ("object_quaternion", np.zeros((7, 4)), "object_quaternion has rows .* not of unit length"),
     ):
         forked().save(path)
         with np.load(path) as stored:
@@ -258,6 +260,9 @@ def test_states_that_do_not_hold_are_left_out(cylinder: Scene) -> None:
 def test_what_is_refused() -> None:
     with pytest.raises(InvalidInput, match="count is 0; expected a whole number above 0"):
         path_states(forked(), 0)
+    for seed in (-1, "a", 1.5):
+        with pytest.raises(InvalidInput, match="seed is .*; expected a whole number from 0 on"):
+            path_states(forked(), 3, seed=seed)  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="unknown goals 'far'; known: greatest, even"):
         path_states(forked(), 3, goals="far")  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="unknown weights 'none'; known: rotation, equal"):

@@ -89,6 +89,7 @@ def test_bad_states(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
         (b"grasps", "cannot be read"),
         ("npy", "cannot be read"),
         ("cut", "cannot be read"),
+        ("flag", "cannot be read"),  # a bit of the archive's directory says another way to pack
         ("part", "lacks q_target, .*expected hand, q, "),
     ],
 )
@@ -102,6 +103,11 @@ def test_files_that_are_none(content: object, said: str, tmp_path: Path) -> None
     elif content == "cut":
         grasps().save(path)
         path.write_bytes(path.read_bytes()[:-200])
+    elif content == "flag":
+        grasps().save(path)
+        damaged = bytearray(path.read_bytes())
+        damaged[damaged.rfind(b"PK\x01\x02") + 8] ^= 0x20
+        path.write_bytes(damaged)
     elif content == "part":
         np.savez(path, hand="dex5", q=np.zeros((1, 15)))
     with pytest.raises(InvalidInput, match=said) as caught:
