@@ -135,11 +135,11 @@ def test_what_sampling_refuses(l_shape: Scene) -> None:
 
 
 def test_fewest_contacts_are_said_once(l_shape: Scene) -> None:
-    for given in (
-        {"sampling": GraspSampling(min_contacts=2, batch=32)},
-        {"stability": Stability(min_contacts=2)},
+    for sampling, stability in (
+        (GraspSampling(min_contacts=2, batch=32), None),
+        (None, Stability(min_contacts=2)),
     ):
-        found = sample_grasps(l_shape, 1, seed=0, threads=1, **given)
+        found = sample_grasps(l_shape, 1, sampling, stability=stability, seed=0, threads=1)
         settings = json.loads(found.states.meta)["settings"]
         assert settings["sampling"]["min_contacts"] == settings["stability"]["min_contacts"] == 2
 
