@@ -119,6 +119,15 @@ def test_a_servo_that_comes_back_is_known_to_be_off(emulator: Emulator, hand: Se
     assert not any(emulator.state()["torque_on"])
 
 
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Ctrl-C as in a terminal: what a shell starts in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 def test_a_second_ctrl_c_waits_for_the_torque(emulator: Emulator, hand: ServoHand) -> None:
     """It ended the disarming half-way, and the guard was told that all was done."""
     write, sent = hand.bus.write, []
