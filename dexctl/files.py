@@ -17,7 +17,7 @@ from dexctl.exceptions import InvalidInput
 DAMAGED = (
     EOFError,
     LookupError,
-    MemoryError,  # of a parser, for what is nested too deep
+    MemoryError,  # of a parser, for what is nested too deep; or of a size that nothing has
     OSError,
     OverflowError,
     RuntimeError,  # among them RecursionError and NotImplementedError; and an encrypted file
@@ -30,6 +30,16 @@ DAMAGED = (
     zlib.error,
 )
 """All that zipfile, numpy's reader of headers and the JSON reader raise for what is not theirs."""
+
+
+@contextmanager
+def reading(what: str) -> Iterator[None]:
+    """Raise InvalidInput in one line, which says ``what`` it is, where a ``.npz`` is damaged."""
+    try:
+        yield
+    except DAMAGED as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise InvalidInput(f"{what} cannot be read: {why[:200]}") from None
 
 
 @contextmanager

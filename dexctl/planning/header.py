@@ -14,6 +14,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning.scene_settings import PHYSICS
 from dexctl.settings import absolute, differing, from_plain, get, to_plain
 from dexctl.sim import SceneConfig
+from dexctl.validation import shown
 
 if TYPE_CHECKING:
     from dexctl.sim import Scene
@@ -24,6 +25,15 @@ _SAME = (
     "hand", "joint_names", "object", "object_width", "object_mass", "gravity", "axis",
     "expansion", "action_names",
 )  # fmt: skip
+
+_LIST, _NUMBER = (list, tuple), (int, float)
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "hand": str, "joint_names": _LIST, "object": str, "object_width": _NUMBER,
+    "object_mass": _NUMBER, "gravity": _LIST, "axis": _LIST, "expansion": str,
+    "action_names": _LIST, "settings": dict, "versions": dict, "seed": int,
+    "scene": (dict, type(None)), "expansions": int, "refused": dict, "physics_steps": int,
+    "seconds": _NUMBER,
+}  # fmt: skip
 
 
 @dataclass(kw_only=True)
@@ -118,7 +128,7 @@ class TreeHeader:
         """From what `to_plain` gave.
 
         Raises:
-            InvalidInput: it is of another format, or something is missing.
+            InvalidInput: it is of another format, or something is missing or of another kind.
         """
         if not isinstance(values, Mapping) or values.get("format") != FORMAT:
             found = values.get("format") if isinstance(values, Mapping) else None
@@ -128,6 +138,10 @@ class TreeHeader:
         if set(rest) != known:
             odd = ", ".join(sorted(set(rest) ^ known))
             raise InvalidInput(f"its header has other entries than expected: {odd}")
+        for name, kinds in _KINDS.items():
+            value = rest[name]
+            if not isinstance(value, kinds) or isinstance(value, bool):
+                raise InvalidInput(f"{name} of its header is {shown(value)}, which it cannot be")
         for name in ("joint_names", "gravity", "axis", "action_names"):
             rest[name] = tuple(rest[name])
         return cls(**rest)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
@@ -205,6 +205,8 @@ def _settings(
     least = stability.min_contacts
     config = GraspSampling(min_contacts=least) if sampling is None else sampling
     check_kinds((GraspSampling, "sampling", config))
+    if config.min_contacts == GraspSampling.min_contacts < least:  # nobody asked for fewer
+        config = replace(config, min_contacts=least)
     if config.min_contacts < least:  # it would be of no effect
         raise InvalidInput(
             f"sampling.min_contacts is {config.min_contacts} and stability.min_contacts {least}, "

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput, MissingExtra
-from dexctl.files import DAMAGED, aside
+from dexctl.files import DAMAGED, aside, reading
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.nodes import NODE_FIELDS, Frame, Nodes
 from dexctl.planning.parts import part_files
@@ -322,37 +322,38 @@ class Tree:
                 f"{what} is not there yet: {path.parent} has the trees of {len(parts)} processes; "
                 "the `dexctl plan` that grew them makes one of them with --resume"
             )
-        try:
-            with np.load(path, allow_pickle=False) as stored:
-                values = {name: stored[name] for name in stored.files}
-        except DAMAGED as error:
-            raise InvalidInput(f"{what} cannot be read: {error}") from None
+        with reading(what), np.load(path, allow_pickle=False) as stored:
+            values = {name: stored[name] for name in stored.files}
         missing = [name for name in (*_COLUMNS, "meta") if name not in values]
         if missing:
             raise InvalidInput(f"{what} lacks {', '.join(missing)}; it is no tree")
         try:
             return cls._of(TreeHeader.from_plain(json.loads(str(values["meta"]))), values)
         except DAMAGED as error:  # InvalidInput is a ValueError
-            raise InvalidInput(f"{what}: {error}") from None
+            raise InvalidInput(f"{what}: {' '.join(str(error).split())[:200]}") from None
 
     @classmethod
     def _of(cls, header: TreeHeader, values: Mapping[str, np.ndarray]) -> Tree:
-        count, d = len(values["parent"]), len(header.joint_names)
-        fingers = values["in_contact"].shape[-1]
+        count, d = values["parent"].size, len(header.joint_names)
+        fingers = values["in_contact"].shape[-1:]
         widths = {
             "q": (d,), "q_target": (d,), "joint_velocity": (d,), "object_position": (3,),
-            "object_quaternion": (4,), "object_velocity": (6,), "in_contact": (fingers,),
+            "object_quaternion": (4,), "object_velocity": (6,), "in_contact": fingers,
             "action": (len(header.action_names),),
         }  # fmt: skip
         for name in _COLUMNS:
             expected = (count, *widths.get(name, ()))
             if values[name].shape != expected or not count:
                 raise InvalidInput(f"{name} has shape {values[name].shape}; expected {expected}")
+            kinds = {"parent": "iu", "expansion": "iu", "in_contact": "b"}.get(name, "iuf")
+            if values[name].dtype.kind not in kinds:
+                raise InvalidInput(f"{name} is of {values[name].dtype}; it is no tree")
             if name != "action" and not np.isfinite(values[name]).all():
                 raise InvalidInput(f"{name} has numbers that are not finite")
-        length = np.linalg.norm(values["object_quaternion"], axis=1)
-        if not (np.abs(length - 1.0) < 0.01).all():
-            raise InvalidInput("object_quaternion has rows that are not of unit length")
+        norm = np.linalg.norm(values["object_quaternion"], axis=1)
+        if (np.abs(norm - 1.0) > 1e-3).any():
+            bad = float(norm[np.argmax(np.abs(norm - 1.0))])
+            raise InvalidInput(f"object_quaternion has norm {bad:.4g}; expected 1")
         parent = values["parent"]
         if parent[0] != -1 or (parent[1:] < 0).any() or (parent >= np.arange(count)).any():
             raise InvalidInput("parents do not stand before their children; it is no tree")

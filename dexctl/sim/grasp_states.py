@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
-from dexctl.files import DAMAGED, aside
+from dexctl.files import aside, reading
 from dexctl.hand import HandModel
 from dexctl.state import Floats
 
@@ -197,12 +197,9 @@ class GraspStates:
         """
         names = [field.name for field in fields(cls)]
         what = f"grasp states {str(path)!r}"
-        try:
-            with np.load(path, allow_pickle=False) as stored:
-                missing = [name for name in names if name not in stored and name not in _OPTIONAL]
-                values = {name: stored[name] for name in names if name in stored}
-        except DAMAGED as error:
-            raise InvalidInput(f"{what} cannot be read: {error}") from None
+        with reading(what), np.load(path, allow_pickle=False) as stored:
+            missing = [name for name in names if name not in stored and name not in _OPTIONAL]
+            values = {name: stored[name] for name in names if name in stored}
         if missing:
             needed = ", ".join(name for name in names if name not in _OPTIONAL)
             raise InvalidInput(f"{what} lacks {', '.join(missing)}; expected {needed}")

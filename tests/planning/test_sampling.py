@@ -138,10 +138,13 @@ def test_fewest_contacts_are_said_once(l_shape: Scene) -> None:
     for sampling, stability in (
         (GraspSampling(min_contacts=2, batch=32), None),
         (None, Stability(min_contacts=2)),
+        (GraspSampling(), Stability(min_contacts=4)),  # as a command has it that is told the latter
     ):
         found = sample_grasps(l_shape, 1, sampling, stability=stability, seed=0, threads=1)
         settings = json.loads(found.states.meta)["settings"]
-        assert settings["sampling"]["min_contacts"] == settings["stability"]["min_contacts"] == 2
+        wanted = 4 if sampling and stability else 2
+        for name in ("sampling", "stability"):
+            assert settings[name]["min_contacts"] == wanted
 
 
 def test_rotation_vectors_and_back() -> None:
