@@ -216,7 +216,7 @@ def check_state(hand: HandModel, state: GraspState) -> None:
 
 
 _QUATERNIONS = ("object_quaternion", "goal_quaternion")
-_OPTIONAL = ("goal_angular_velocity", "gravity")
+_VECTORS = ("object_position", "goal_angular_velocity", "gravity")
 
 
 def check_sound(hand: HandModel, state: GraspState) -> None:
@@ -235,7 +235,7 @@ def check_sound(hand: HandModel, state: GraspState) -> None:
     good |= ~state.in_contact
     size = np.einsum("...i,...i->...", state.q, state.q)
     size = size + np.einsum("...i,...i->...", state.q_target, state.q_target)
-    for name in ("object_position", *_OPTIONAL):
+    for name in _VECTORS:
         value = getattr(state, name)
         if value is not None:
             size = size + np.einsum("...i,...i->...", value, value)
@@ -253,7 +253,7 @@ def refuse(hand: HandModel, state: GraspState) -> None:
     """Raise InvalidInput that names what `check_sound` found; nothing where all is well."""
     touch = state.in_contact
     with np.errstate(over="ignore", invalid="ignore"):
-        for name in ("q", "q_target", "object_position", *_QUATERNIONS, *_OPTIONAL):
+        for name in ("q", "q_target", *_VECTORS, *_QUATERNIONS):
             value = getattr(state, name)
             if value is not None:
                 _refuse_rows(name, value, ~np.isfinite(value).all(axis=-1))
@@ -275,7 +275,7 @@ def refuse(hand: HandModel, state: GraspState) -> None:
             within = f"within {FARTHEST if name == 'contact_position' else FARTHEST**2:g}"
             over = touch & ~(value <= 0.7 * FARTHEST)
             _refuse_rows(name, getattr(state, name), over, fingers, within)
-        for name in ("q", "q_target", "object_position", *_OPTIONAL):
+        for name in ("q", "q_target", *_VECTORS):
             value = getattr(state, name)
             if value is not None:
                 over = np.linalg.norm(value, axis=-1) > 0.5 * FALLEN

@@ -120,13 +120,11 @@ class JointTouch:
             switches = check_mask(switches, state.in_contact.shape)
         if mask is not None:
             mask = check_mask(mask, state.batch_shape)
-        if torque is not None:
+        measured = torque is not None
+        if measured:
             torque = np.broadcast_to(per_joint(self.hand, "torque", torque), state.q.shape)
-        if torque is None:
-            torque = servo_torques(self.hand, state.q, state.q_target, self._stiffness)
-            measured = False
         else:
-            measured = True
+            torque = servo_torques(self.hand, state.q, state.q_target, self._stiffness)
         past = self._past
         if not past:
             past = self._begin(state, torque)

@@ -128,7 +128,7 @@ class LineParser:
 
     Attributes:
         position, normal, force: the last ones of each finger.
-        taken: when their bytes arrived, as it was told [s]; -inf where none has.
+        taken: when their bytes arrived, as `feed` was told [s]; -inf where none has.
         bad_lines: how many lines could not be used.
     """
 

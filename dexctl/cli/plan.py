@@ -38,7 +38,8 @@ from dexctl.planning import (
     grow_on_cluster,
     holding,
 )
-from dexctl.planning.grow import check_ends, stuck
+from dexctl.planning.arguments import check_ends
+from dexctl.planning.grow import stuck
 from dexctl.planning.parts import part_files
 from dexctl.planning.scene_settings import check_used
 from dexctl.planning.tree import TREE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
 from dexctl.files import make_parent
+from dexctl.planning.arguments import check_ends, check_kinds
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expansion, Problem
 from dexctl.planning.goals import GoalOrientations
@@ -24,7 +25,7 @@ from dexctl.planning.stability import Stability
 from dexctl.planning.tree import Tree
 from dexctl.settings import absolute, to_plain
 from dexctl.sim import SceneConfig
-from dexctl.validation import check_seed, number, shown
+from dexctl.validation import check_seed
 
 if TYPE_CHECKING:
     from dexctl.sim import Scene
@@ -213,38 +214,6 @@ def stuck(tree: Tree) -> str:
         f"expansions{why and f', refused most for {why}'}; expected another way to expand, other "
         f"settings of {header.expansion}, or another object"
     )
-
-
-def check_kinds(
-    *those: tuple[type, str, object], optional: Sequence[type] = (Tree, SceneConfig)
-) -> None:
-    """Raise InvalidInput where a value is not of its class; None is, where that is optional."""
-    for kind, name, value in those:
-        if not (isinstance(value, kind) or (value is None and kind in optional)):
-            made = ", as Kinematic() is one" if kind is Expansion else ""
-            raise InvalidInput(f"{name} is {shown(value)}; expected of class {kind.__name__}{made}")
-
-
-def check_ends(
-    nodes: int | None,
-    seconds: float | None,
-    until_rotation: float | None,
-    bounds: Bounds,
-    goals: GoalOrientations,
-) -> None:
-    """Raise InvalidInput where nothing says when a tree is done, or what does cannot be reached."""
-    if nodes is None and seconds is None and until_rotation is None and not len(goals):
-        raise InvalidInput(
-            "grow is told no end; expected nodes, seconds, until_rotation or goals, or several"
-        )
-    for name, value in (("nodes", nodes), ("seconds", seconds), ("until_rotation", until_rotation)):
-        if value is not None:
-            number(name, value, 0.0, np.finfo(float).max, "a number above 0", above=True)
-    if until_rotation is not None and until_rotation > bounds.rotation[1] + 0.5:
-        raise InvalidInput(
-            f"until_rotation is {until_rotation:g}; targets go up to {bounds.rotation[1]:g} rad "
-            "(Bounds.rotation)"
-        )
 
 
 def _begin(

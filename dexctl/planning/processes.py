@@ -19,10 +19,11 @@ import numpy as np
 
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
 from dexctl.files import make_parent
+from dexctl.planning.arguments import check_ends, check_kinds
 from dexctl.planning.bounds import Bounds
 from dexctl.planning.expansion import Expansion
 from dexctl.planning.goals import GoalOrientations
-from dexctl.planning.grow import Progress, check_ends, check_kinds, grow
+from dexctl.planning.grow import Progress, grow
 from dexctl.planning.parts import part_file, part_files, part_seed
 from dexctl.planning.tree import Tree
 from dexctl.sim import SceneConfig

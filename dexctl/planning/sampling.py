@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from dexctl.exceptions import InvalidInput
 from dexctl.files import make_parent
+from dexctl.planning.arguments import check_kinds
 from dexctl.planning.contacts import ContactModel
-from dexctl.planning.grow import check_kinds
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.metric import Metric, Nearest
 from dexctl.planning.nodes import Frame, Nodes, children, put, root_of
