@@ -1,7 +1,8 @@
 """TrainConfig: everything that decides what a training run does, and the recipes by name.
 
 The defaults are the thesis's method, with numbers of ours where it gives none. "fast" is what made
-policies gait within a million steps; docs/learning.md says what each part of it brings.
+policies gait within a million steps; docs/learning.md says what each part of it brings. "distil"
+makes one policy of controllers and of other policies, which it imitates.
 """
 
 from __future__ import annotations
@@ -9,24 +10,30 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from dexctl import controllers, hands
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.files import is_path
 from dexctl.hand_config import HandConfig
 from dexctl.settings import FILE_OR_NAME, NESTED, changed
 from dexctl.validation import check_whole
+from learning import policies
 from learning.algorithms.config import (
+    DAggerConfig,
     ImitationConfig,
-    OffPolicyConfig,
     PPOConfig,
+    RememberingConfig,
     SACConfig,
     TD3Config,
 )
 from learning.envs.config import EnvConfig
-from learning.exploration.config import GuidanceConfig, check_controllers
+from learning.exploration.config import GuidanceConfig, Guiding, check_controllers
 from learning.starts.config import StartsConfig
 from learning.training.curriculum import CurriculumConfig
+
+Kind = Literal["sac", "td3", "ppo", "dagger"]
+ALGORITHMS: tuple[Kind, ...] = get_args(Kind)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +51,15 @@ class TrainConfig:
     guidance: Annotated[GuidanceConfig, NESTED] = GuidanceConfig()
     curriculum: Annotated[CurriculumConfig, NESTED] = CurriculumConfig()
     controllers: tuple[str, ...] = ("gait",)
-    """Controllers that guide, one or several; not used by the method rl."""
-    algorithm: Literal["sac", "td3", "ppo"] = "sac"
-    """Who learns: sac (with entropy coefficient 0, the thesis's), td3, or ppo (method rl only)."""
+    """Controllers that guide, or policies, one or several; OBJECT,...=NAME guides with these
+    objects only. Not used by the method rl."""
+    algorithm: Kind = "sac"
+    """Who learns: sac (with entropy coefficient 0, the thesis's), td3, ppo (method rl only), or
+    dagger, which only imitates (method rl+bc only)."""
     sac: SACConfig = SACConfig()
     td3: TD3Config = TD3Config()
     ppo: PPOConfig = PPOConfig()
+    dagger: DAggerConfig = DAggerConfig()
     starts: Annotated[StartsConfig, NESTED] = StartsConfig()
     imitation: Annotated[ImitationConfig, NESTED] = ImitationConfig()
     begin_from: Annotated[Path | None, FILE_OR_NAME] = None
@@ -79,7 +89,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for name in self.controllers:
-            controllers.entry(name)
+            self._check_guide(Guiding.of(name))
         check_controllers(self.guidance.method, self.controllers)
         check_whole(
             self,
@@ -100,6 +110,8 @@ class TrainConfig:
                 f"algorithm is 'ppo' and method {self.guidance.method!r}; ppo learns from its own "
                 "actions only: expected method 'rl', or the algorithm sac or td3"
             )
+        if self.algorithm == "dagger":
+            self._check_dagger()
         if self.curriculum and not self.env.scene.randomisation:
             raise InvalidInput(
                 f"level_start is {self.curriculum.level_start} and there are no ranges to widen; "
@@ -114,12 +126,42 @@ class TrainConfig:
                 )
         self._check_starts()
         own = self.learner
-        if isinstance(own, OffPolicyConfig) and own.buffer_size < max(
+        if isinstance(own, RememberingConfig) and own.buffer_size < max(
             self.num_envs, own.batch_size
         ):
             raise InvalidInput(
                 f"buffer_size is {own.buffer_size}; expected at least one batch of "
                 f"{own.batch_size} and one step of {self.num_envs} environments"
+            )
+
+    def _check_guide(self, guide: Guiding) -> None:
+        there = self.env.scene.object
+        for name in guide.objects:
+            if name not in there:
+                raise UnknownName("object of a guide", name, there)
+        name = guide.controller
+        if not (controllers.is_named(name) or is_path(name) or name in policies.names()):
+            raise UnknownName("controller", name, (*controllers.names(), *policies.names()))
+
+    def _check_dagger(self) -> None:
+        guidance = self.guidance
+        if guidance.method != "rl+bc":
+            raise InvalidInput(
+                f"algorithm is 'dagger' and method {guidance.method!r}; dagger learns from what "
+                "controllers would do where the policy comes to: expected method 'rl+bc'"
+            )
+        if guidance.hard_stop is not None and guidance.hard_stop < self.steps:
+            raise InvalidInput(
+                f"algorithm is 'dagger', whose labels end at the hard_stop {guidance.hard_stop}; "
+                f"expected none, or at least the {self.steps} steps"
+            )
+        guides = [Guiding.of(name).objects for name in self.guides]
+        shown = {name for objects in guides for name in objects or self.env.scene.object}
+        missing = [name for name in self.env.scene.object if name not in shown]
+        if missing:
+            raise InvalidInput(
+                f"algorithm is 'dagger', and no controller guides with {', '.join(missing)}; "
+                "expected one for each object"
             )
 
     def _check_starts(self) -> None:
@@ -152,9 +194,9 @@ class TrainConfig:
             )
 
     @property
-    def learner(self) -> SACConfig | TD3Config | PPOConfig:
+    def learner(self) -> SACConfig | TD3Config | PPOConfig | DAggerConfig:
         """The settings of the algorithm that is chosen."""
-        return {"sac": self.sac, "td3": self.td3, "ppo": self.ppo}[self.algorithm]
+        return getattr(self, self.algorithm)
 
     def with_mass(self, hand: HandConfig | None = None) -> TrainConfig:
         """The same with the object's mass said, for what is kept: the hand's toml may change.
@@ -168,8 +210,13 @@ class TrainConfig:
 
     @property
     def guides(self) -> tuple[str, ...]:
-        """Names of the controllers that guide the run; none for the method rl."""
+        """Who guides the run, as `controllers` says it; nobody for the method rl."""
         return () if self.guidance.method == "rl" else self.controllers
+
+    @property
+    def guide_names(self) -> tuple[str, ...]:
+        """Names of these controllers and policies, each once, without their objects."""
+        return tuple(dict.fromkeys(Guiding.of(name).controller for name in self.guides))
 
 
 _QUICK = {
@@ -200,7 +247,20 @@ def _fast() -> TrainConfig:
     )
 
 
-RECIPES: Mapping[str, Callable[[], TrainConfig]] = {"thesis": TrainConfig, "fast": _fast}
+def _distil() -> TrainConfig:
+    base = TrainConfig()
+    return replace(
+        base,
+        env=replace(base.env, scaled=True),
+        guidance=replace(base.guidance, method="rl+bc", hard_stop=None),
+        controllers=("coordinated",),
+        algorithm="dagger",
+    )
+
+
+RECIPES: Mapping[str, Callable[[], TrainConfig]] = {
+    "thesis": TrainConfig, "fast": _fast, "distil": _distil,
+}  # fmt: skip
 
 
 def recipe(name: str, method: str | None = None) -> TrainConfig:

@@ -1,4 +1,4 @@
-"""Algorithms: SAC, TD3 and PPO, each by itself; a trainer steps the environments.
+"""Algorithms: SAC, TD3, PPO and DAgger, each by itself; a trainer steps the environments.
 
 The names are loaded when they are first used; their settings need no torch.
 """
@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from learning.algorithms.base import Algorithm, Cloning, Transitions
     from learning.algorithms.catalogue import make
-    from learning.algorithms.config import PPOConfig, SACConfig, TD3Config
+    from learning.algorithms.config import DAggerConfig, PPOConfig, SACConfig, TD3Config
+    from learning.algorithms.dagger import DAgger
     from learning.algorithms.ppo import PPO
     from learning.algorithms.sac import SAC
     from learning.algorithms.td3 import TD3
@@ -22,6 +23,8 @@ __all__ = [
     "TD3",
     "Algorithm",
     "Cloning",
+    "DAgger",
+    "DAggerConfig",
     "PPOConfig",
     "SACConfig",
     "TD3Config",
@@ -32,7 +35,8 @@ __all__ = [
 _HOMES = {
     "catalogue": ("make",),
     "base": ("Algorithm", "Cloning", "Transitions"),
-    "config": ("PPOConfig", "SACConfig", "TD3Config"),
+    "config": ("DAggerConfig", "PPOConfig", "SACConfig", "TD3Config"),
+    "dagger": ("DAgger",),
     "ppo": ("PPO",),
     "sac": ("SAC",),
     "td3": ("TD3",),

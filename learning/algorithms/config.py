@@ -13,21 +13,19 @@ IMITATED: tuple[Imitated, ...] = get_args(Imitated)
 
 
 @dataclass(frozen=True, kw_only=True)
-class OffPolicyConfig:
-    """What SAC and TD3 share: they learn from a memory of what anybody did.
+class RememberingConfig:
+    """What the algorithms share that learn from a memory.
 
     Raises:
         InvalidInput: a setting is wrong; the message names it.
     """
 
-    gamma: float = 0.99
-    """Discount of a control step."""
     batch_size: int = 512
-    """Transitions of an update."""
+    """Steps, of the memory, of an update."""
     gradient_steps: int = 2
     """Updates for each step of all environments together."""
     learning_rate: float = 3e-4
-    """Learning rate of actor and critics."""
+    """Learning rate of all networks."""
     learning_rate_end: float | None = None
     """What the learning rate falls to, linearly; none: it stays."""
     decay_start: float = 0.5
@@ -36,40 +34,15 @@ class OffPolicyConfig:
     """The policy that is kept is the mean of the actor's weights, each update counting this much
     less than the next; 0: the last ones."""
     network: tuple[int, ...] = (256, 256)
-    """Widths of the hidden layers of actor and critics."""
-    tau: float = 0.005
-    """How far the target critics go towards the critics at each update."""
+    """Widths of the hidden layers of all networks."""
     buffer_size: int = 500_000
-    """Transitions that are remembered; each takes about 0.6 kB of memory and of checkpoint."""
-    learning_starts: int = 5_000
-    """Steps before the first update; the policy's part in them is random, but for a run that begins
-    with the networks of another."""
-    layer_norm: bool = False
-    """Layer normalisation in the critics; none in the thesis (Ball et al. 2023: it bounds what
-    critics extrapolate to actions that nobody tried)."""
-    n_step: int = 1
-    """Steps of the returns that critics are trained with; 1 in the thesis."""
-    policy_delay: int = 1
-    """Updates of the critics to one of the actor."""
-    actor_starts: int = 0
-    """Steps before the first update of the actor; until then the critics learn alone what its
-    actions are worth, as those of a run that begins with a policy's file have to."""
+    """Steps of an environment that are remembered; each takes up to 0.6 kB of memory and of
+    checkpoint."""
 
     def __post_init__(self) -> None:
-        check_whole(
-            self,
-            batch_size=1,
-            gradient_steps=1,
-            buffer_size=1,
-            learning_starts=0,
-            actor_starts=0,
-            n_step=1,
-            policy_delay=1,
-        )
+        check_whole(self, batch_size=1, gradient_steps=1, buffer_size=1)
         check_numbers(
-            self,
-            positive=("learning_rate", "tau"),
-            fractions=("gamma", "tau", "decay_start", "policy_average"),
+            self, positive=("learning_rate",), fractions=("decay_start", "policy_average")
         )
         if self.learning_rate_end is not None:
             check_numbers(self, not_negative=("learning_rate_end",))
@@ -86,6 +59,62 @@ class OffPolicyConfig:
         if last is None or start >= 1:
             return first
         return first + (last - first) * max(0.0, (1.0 - left - start) / (1.0 - start))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DAggerConfig(RememberingConfig):
+    """Dataset aggregation (Ross et al. 2011): labels of the states that the policy comes to."""
+
+    batch_size: int = 1024
+    """Steps, of the memory, of an update."""
+    learning_rate: float = 1e-3
+    """Learning rate of the policy."""
+    learning_rate_end: float | None = 1e-5
+    """What the learning rate falls to, linearly; none: it stays."""
+    policy_average: float = 0.999
+    """The policy that is kept is the mean of the actor's weights, each update counting this much
+    less than the next; 0: the last ones."""
+    buffer_size: int = 1_000_000
+    """Labelled steps that are remembered; each takes about 0.3 kB of memory and of checkpoint."""
+    action_noise: float = 0.1
+    """Standard deviation of what is added to the policy's actions in training, in units of [-1, 1],
+    so that states beside its way are labelled too; labels have none."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_numbers(self, not_negative=("action_noise",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicyConfig(RememberingConfig):
+    """What SAC and TD3 share: they learn from a memory of what anybody did.
+
+    Raises:
+        InvalidInput: a setting is wrong; the message names it.
+    """
+
+    gamma: float = 0.99
+    """Discount of a control step."""
+    tau: float = 0.005
+    """How far the target critics go towards the critics at each update."""
+    learning_starts: int = 5_000
+    """Steps before the first update; the policy's part in them is random, but for a run that begins
+    with the networks of another."""
+    layer_norm: bool = False
+    """Layer normalisation in the critics; none in the thesis (Ball et al. 2023: it bounds what
+    critics extrapolate to actions that nobody tried)."""
+    n_step: int = 1
+    """Steps of the returns that critics are trained with; 1 in the thesis."""
+    policy_delay: int = 1
+    """Updates of the critics to one of the actor."""
+    actor_starts: int = 0
+    """Steps before the first update of the actor; until then the critics learn alone what its
+    actions are worth, as those of a run that begins with a policy's file have to."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_whole(self, learning_starts=0, actor_starts=0, n_step=1, policy_delay=1)
+        check_numbers(self, positive=("tau",), fractions=("gamma", "tau"))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,8 +38,8 @@ class Train:
     }
 
     recipe: str = RECIPE
-    """Where the defaults come from: fast, which learns to gait within 1 million steps, or
-    thesis."""
+    """Where the defaults come from: fast, which learns to gait within 1 million steps, thesis, or
+    distil, which makes one policy of controllers and other policies."""
     config: Annotated[TrainConfig, NESTED] = TrainConfig()
     out: Path | None = None
     """Folder of the run; by default runs/METHOD-CONTROLLERS-OBJECT-SEED."""

@@ -59,7 +59,7 @@ class Subject:
     @property
     def guides(self) -> tuple[str, ...]:
         """Names of the controllers that guided the training; empty without."""
-        return () if self.trained is None else self.trained.guides
+        return () if self.trained is None else self.trained.guide_names
 
     def remark(self, protocol: Protocol) -> str | None:
         """What to know before its figures are read: another hand or object than it is made for."""

@@ -1,6 +1,6 @@
 """Who acts while an agent explores: its policy or a controller."""
 
-from learning.exploration.config import METHODS, GuidanceConfig
+from learning.exploration.config import METHODS, GuidanceConfig, Guiding
 from learning.exploration.guide import Guide, Guided, commitment
 from learning.exploration.mixture import (
     POLICY,
@@ -17,6 +17,7 @@ __all__ = [
     "GuidanceConfig",
     "Guide",
     "Guided",
+    "Guiding",
     "Segments",
     "advance",
     "commitment",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, Self, get_args
 
 from dexctl.exceptions import InvalidInput
 from dexctl.validation import check_name, check_numbers, check_whole
@@ -32,13 +34,14 @@ class GuidanceConfig:
     horizon: int | None = None
     """Steps that a choice of who acts holds for (H); none: as long as the controller's own motion,
     and as the longest of them for the policy."""
-    hard_stop: int = 4_000_000
-    """Controllers are asked no more from this environment step on; 4 million in the thesis."""
+    hard_stop: int | None = 4_000_000
+    """Controllers are asked no more from this environment step on; 4 million in the thesis; none:
+    they are asked to the end."""
     temperature: float = 1.0
     """Temperature of VGE's choice by value; 1 is the thesis's."""
     fixed_start: float = 1.0
-    """FGE's share of the controllers at step 0; it falls linearly to 0 at the hard stop. The thesis
-    gives no numbers."""
+    """FGE's share of the controllers at step 0; it falls linearly to 0 at the hard stop, and stays
+    where there is none. The thesis gives no numbers."""
     beta: float = 0.1
     """Weight of behaviour cloning at step 0; it falls linearly."""
     beta_end: float = 0.0
@@ -73,7 +76,8 @@ class GuidanceConfig:
             check_whole(self, horizon=1)
         if self.beta_stop is not None:
             check_whole(self, beta_stop=1)
-        check_whole(self, hard_stop=0)
+        if self.hard_stop is not None:
+            check_whole(self, hard_stop=0)
         check_numbers(
             self,
             positive=("temperature",),
@@ -97,11 +101,33 @@ class GuidanceConfig:
         return self.method.endswith("+bc")
 
 
+class Guiding(NamedTuple):
+    """Who guides, and with which objects: ``NAME``, or ``OBJECT,...=NAME``.
+
+    Attributes:
+        controller: its name, or that of a policy.
+        objects: that it guides with; empty: with all.
+    """
+
+    controller: str
+    objects: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """What ``text`` says."""
+        found = re.fullmatch(r"(\w+(?:,\w+)*)=(.+)", text)
+        return cls(text) if found is None else cls(found[2], tuple(found[1].split(",")))
+
+
 def check_controllers(method: str, names: Sequence[str]) -> None:
     """Raise InvalidInput where a method has more or fewer controllers than it can use."""
     if method != "rl" and not names:
         raise InvalidInput(f"method {method!r} got no controllers; expected one or more")
-    if method == "rl+bc" and len(names) > 1:
-        raise InvalidInput(
-            f"method 'rl+bc' has the controllers {', '.join(names)} at once; it takes one"
-        )
+    guides = [Guiding.of(name) for name in names]
+    if method == "rl+bc" and len(guides) > 1:
+        counts = Counter(name for one in guides for name in one.objects)
+        if not all(one.objects for one in guides) or max(counts.values()) > 1:
+            raise InvalidInput(
+                f"method 'rl+bc' has the controllers {', '.join(names)} at once; it takes one, or "
+                "one for each object (OBJECT,...=NAME)"
+            )

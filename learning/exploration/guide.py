@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput
@@ -69,6 +70,7 @@ class Guide:
         controllers: one or more; none for plain RL.
         config: the settings.
         seed: of the choices; environment i has the stream ``seed + i``, controllers too.
+        where: which environments each controller guides, ``(controllers, N)`` bool; None: all.
 
     Attributes:
         lengths: H of each candidate, ``(1 + controllers,)`` [steps].
@@ -84,12 +86,24 @@ class Guide:
         controllers: Sequence[Controller],
         config: GuidanceConfig,
         seed: int = 0,
+        where: ArrayLike | None = None,
     ) -> None:
         if config.method == "rl":
             controllers = ()
-        check_controllers(config.method, [type(controller).__name__ for controller in controllers])
         self.env, self.config = env, config
         self.controllers = tuple(controllers)
+        if where is None or not self.controllers:
+            names = [type(controller).__name__ for controller in controllers]
+            check_controllers(config.method, names)
+        self._there = np.ones((env.num_envs, 1 + len(self.controllers)), bool)
+        if where is not None and self.controllers:
+            shape = len(self.controllers), env.num_envs
+            if np.shape(where) != shape:
+                raise InvalidInput(f"where has shape {np.shape(where)}; expected {shape}")
+            self._there[:, 1:] = np.transpose(where)
+        guides = self._there.copy()
+        guides[:, POLICY] = False
+        self._labels = guides.argmax(axis=1)  # the first that guides there; the policy: nobody
         own = [commitment(controller) for controller in self.controllers]
         self._restarts = [length is not None for length in own]
         lengths = [config.horizon or length or UNSTATED_HORIZON for length in own]
@@ -104,7 +118,8 @@ class Guide:
 
     def asks(self, step: int) -> bool:
         """Whether the controllers are asked at environment step ``step``."""
-        return bool(self.controllers) and step < self.config.hard_stop
+        stop = self.config.hard_stop
+        return bool(self.controllers) and (stop is None or step < stop)
 
     def own(self, step: int) -> Bools:
         """Where the policy acts by itself at environment step ``step``, ``(N,)``."""
@@ -133,9 +148,10 @@ class Guide:
             return Guided(learner, self.segments.actor, nobody, learner)
         due = self.segments.due
         proposed = np.stack([learner, *self._ask(due & self.config.follows)])
+        labelled = proposed[self._labels, np.arange(len(learner))]
         if not self.config.follows:
             self.acted[POLICY] += len(learner)
-            return Guided(learner, self.segments.actor, ~nobody, proposed[1])
+            return Guided(learner, self.segments.actor, self._labels != POLICY, labelled)
         chances = self._probabilities(step, np.flatnonzero(due), proposed, values)
         self.chances += chances[due].sum(axis=0)
         self.choices += int(due.sum())
@@ -149,7 +165,7 @@ class Guide:
         action = proposed[actor, np.arange(len(actor))]
         self.acted += np.bincount(actor, minlength=len(self.acted))
         if self.config.labels_all:
-            return Guided(action, actor, ~nobody, proposed[1])
+            return Guided(action, actor, self._labels != POLICY, labelled)
         return Guided(action, actor, actor != POLICY, action)
 
     def _ask(self, due: Bools) -> list[np.ndarray]:
@@ -168,10 +184,10 @@ class Guide:
         found = np.zeros((proposed.shape[1], count))
         if config.method == "fge":
             share = linear_decay(step, config.fixed_start, config.hard_stop)
-            found[:] = fixed_probabilities(share, count)
+            found[:] = fixed_probabilities(share, count, self._there)
         elif len(rows):
             of_rows = values(rows, proposed[:, rows])
-            found[rows] = value_probabilities(of_rows.T, config.temperature)
+            found[rows] = value_probabilities(of_rows.T, config.temperature, self._there[rows])
         found[self.alone] = np.eye(count)[POLICY]
         return found
 

@@ -43,7 +43,9 @@ class Segments(NamedTuple):
         return Segments(self.actor, np.where(done, 0, np.maximum(self.left - 1, 0)))
 
 
-def value_probabilities(values: ArrayLike, temperature: float = 1.0) -> Floats:
+def value_probabilities(
+    values: ArrayLike, temperature: float = 1.0, where: ArrayLike = True
+) -> Floats:
     """Softmax of the critic's values over all candidates.
 
     With one controller this is the thesis's p_psi = exp(Q_psi) / (exp(Q_pi) + exp(Q_psi))
@@ -52,6 +54,7 @@ def value_probabilities(values: ArrayLike, temperature: float = 1.0) -> Floats:
     Args:
         values: Q(s, a) of the candidates' actions, ``(..., K)``.
         temperature: values are divided by it; 1 is the thesis's.
+        where: which candidates there are, ``(..., K)``, one at least; others have none.
 
     Returns:
         Probabilities ``(..., K)``.
@@ -64,32 +67,41 @@ def value_probabilities(values: ArrayLike, temperature: float = 1.0) -> Floats:
         raise InvalidInput(f"temperature is {temperature}; expected a finite number above 0")
     if not np.isfinite(values).all():
         raise InvalidInput("the critic's values are not finite: NaN or infinity in Q(s, a)")
+    values = np.where(where, values, -np.inf)
     weight = np.exp((values - values.max(axis=-1, keepdims=True)) / temperature)
     return weight / weight.sum(axis=-1, keepdims=True)
 
 
-def fixed_probabilities(share: float, candidates: int) -> Floats:
+def fixed_probabilities(share: float, candidates: int, where: ArrayLike = True) -> Floats:
     """The fixed schedule of FGE: the controllers share ``share`` equally, whatever the state.
 
     Args:
         share: probability that a controller is chosen, from 0 to 1.
         candidates: K, the policy included.
+        where: which candidates there are, ``(..., K)``, the policy always; others have none.
 
     Returns:
-        Probabilities ``(K,)``.
+        Probabilities ``(K,)``, or ``(..., K)`` as ``where`` has them.
     """
     if candidates < 1:
         raise InvalidInput(f"candidates is {candidates}; expected at least 1, the policy")
     if not 0.0 <= share <= 1.0:
         raise InvalidInput(f"share is {share}; expected a number from 0 to 1")
-    if candidates == 1:
-        return np.ones(1)
-    each = share / (candidates - 1)
-    return np.concatenate([[1.0 - share], np.full(candidates - 1, each)])
+    there = np.broadcast_to(np.asarray(where, bool), (*np.shape(where)[:-1], candidates)).copy()
+    there[..., POLICY] = False
+    count = there.sum(axis=-1, keepdims=True)
+    found = there * (share / np.maximum(count, 1))
+    found[..., :1] = np.where(count > 0, 1.0 - share, 1.0)
+    return found
 
 
-def linear_decay(step: int, start: float, stop: int) -> float:
-    """``start`` at step 0, falling linearly to 0 at step ``stop``, and 0 from there on."""
+def linear_decay(step: int, start: float, stop: int | None) -> float:
+    """``start`` at step 0, falling linearly to 0 at step ``stop``, and 0 from there on.
+
+    Where ``stop`` is None it stays.
+    """
+    if stop is None:
+        return start
     return start * max(0.0, 1.0 - step / stop) if stop > 0 else 0.0
 
 

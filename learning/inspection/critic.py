@@ -108,8 +108,9 @@ def open_critic(subject: Subject) -> tuple[Critic | None, str | None]:
         return None, "A controller has no critic, so there is no p_psi."
     if folder is None:
         return None, "A policy has no critic: p_psi needs the run folder, with its checkpoint."
-    if folder.config().algorithm == "ppo":
-        return None, "The run's algorithm, ppo, has no critic of actions, so there is no p_psi."
+    algorithm = folder.config().algorithm
+    if algorithm in ("ppo", "dagger"):
+        return None, f"The run's algorithm, {algorithm}, has no critic of actions, so no p_psi."
     if folder.config().env.history:
         return None, "The run's critic observes what was before, too, so there is no p_psi."
     if not folder.checkpoint_path.exists():

@@ -92,7 +92,7 @@ def parse_sweep(
     evaluation = dict(_table(given, "evaluation"))
     compared = _compared(evaluation.pop("controllers", []))
     if criterion.rotation is None:
-        compared += [name for made in plan for name in made[0].guides]
+        compared += [name for made in plan for name in made[0].guide_names]
         if not compared:
             raise InvalidInput('criterion.rotation is "guide", and no controllers are in the sweep')
     return SweepConfig(

@@ -13,7 +13,7 @@ from learning.config import TrainConfig
 from learning.envs.symmetry import Fixed, Symmetry
 from learning.envs.tasks import NO_GOALS
 from learning.envs.vector import ManipulationVectorEnv, make_vector
-from learning.exploration.guide import Guide
+from learning.exploration import Guide, Guiding
 
 
 def build_env(config: TrainConfig) -> ManipulationVectorEnv:
@@ -24,10 +24,13 @@ def build_env(config: TrainConfig) -> ManipulationVectorEnv:
 def build_guide(config: TrainConfig, env: ManipulationVectorEnv) -> Guide:
     """Who acts in them."""
     period, axis = env.simulation.control_period, config.env.task.direction
+    guides = [Guiding.of(name) for name in config.guides]
     made = [
-        controllers.make(name, env.hand, control_period=period, axis=axis) for name in config.guides
+        controllers.resolve(guide.controller, env.hand, control_period=period, axis=axis)
+        for guide in guides
     ]
-    return Guide(env, made, config.guidance, config.seed)
+    where = [np.isin(env.objects, guide.objects or env.objects) for guide in guides]
+    return Guide(env, made, config.guidance, config.seed, where)
 
 
 def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorithm:

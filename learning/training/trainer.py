@@ -18,7 +18,7 @@ from dexctl.settings import absolute, difference, from_plain, to_plain
 from dexctl.sim.grasp_states import GraspStates
 from learning import policies
 from learning.algorithms.base import Transitions
-from learning.config import TrainConfig
+from learning.config import ALGORITHMS, TrainConfig
 from learning.exploration import POLICY
 from learning.starts.catalogue import make_starts
 from learning.starts.check import check_starts
@@ -39,8 +39,8 @@ Remark = Callable[[str], None]
 _MAY_CHANGE = (
     "steps", "log_every", "checkpoint_every", "overlap", "device", "torch_threads", "threads",
     "learning_rate", "learning_rate_end", "decay_start", "gradient_steps", "batch_size", "gamma",
-    "tau", "policy_average", "policy_delay", "actor_starts", "exploration_noise", "hard_stop",
-    "beta", "beta_end", "beta_stop", "temperature", "fixed_start", "curriculum",
+    "tau", "policy_average", "policy_delay", "actor_starts", "exploration_noise", "action_noise",
+    "hard_stop", "beta", "beta_end", "beta_stop", "temperature", "fixed_start", "curriculum",
 )  # fmt: skip
 
 
@@ -456,7 +456,7 @@ def _fixed(config: Mapping[str, Any]) -> dict[str, Any]:
     chosen = config.get("algorithm")
     found = {}
     for name, value in config.items():
-        if name in _MAY_CHANGE or (name in ("sac", "td3", "ppo") and name != chosen):
+        if name in _MAY_CHANGE or (name in ALGORITHMS and name != chosen):
             continue
         found[name] = _fixed(value) if isinstance(value, Mapping) else value
     return found

@@ -45,6 +45,8 @@ SMALL: dict[str, Any] = {
             "network": (16,), "batch_size": 16, "learning_starts": 40, "buffer_size": 300,
         }.items()
     },
+    "dagger.network": (16,),
+    "dagger.batch_size": 16,
     "ppo.network": (16,),
     "ppo.rollout_steps": 8,
     "ppo.minibatches": 2,

@@ -48,8 +48,8 @@ def acting_figure(log: TrainingLog) -> Figure:
         bottom.legend(loc="best")
     else:
         _say(bottom, "p_psi is not in this run's log")
-    stop = log.config.guidance.hard_stop / _unit(log)[0]
-    if log.config.guides and stop <= steps[-1]:
+    stop = log.config.guidance.hard_stop
+    if log.config.guides and stop is not None and (stop := stop / _unit(log)[0]) <= steps[-1]:
         for axes in (top, bottom):
             axes.axvline(stop, color=INK, lw=1.0, ls=(0, (4, 2)))
         bottom.annotate(" hard stop", (stop, 0.98), va="top", fontsize=8)

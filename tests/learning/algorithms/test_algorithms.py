@@ -17,6 +17,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from learning.algorithms import (
     Algorithm,
     Cloning,
+    DAggerConfig,
     PPOConfig,
     SACConfig,
     TD3Config,
@@ -33,12 +34,16 @@ CONFIGS = {
     "sac": SACConfig(**OFF_POLICY, n_step=2, layer_norm=True, policy_average=0.9),
     "td3": TD3Config(**OFF_POLICY),
     "ppo": PPOConfig(network=(32, 32), rollout_steps=8, gamma=0.5, learning_rate=3e-3),
-}
+    "dagger": DAggerConfig(
+        network=(32, 32), batch_size=64, buffer_size=4000, learning_rate=3e-3, policy_average=0.9,
+    ),
+}  # fmt: skip
 N = 16
 
 
 def build(name: str, seed: int = 0, **options: Any) -> Any:
     options = {"groups": GROUPS, "observation_size": 3, "action_size": 1, "num_envs": N, **options}
+    options.setdefault("labels", name == "dagger")
     return make(CONFIGS[name], seed=seed, **options)
 
 
@@ -76,7 +81,9 @@ def policy(agent: Algorithm, observation: np.ndarray) -> np.ndarray:
     return np.tanh(found @ weight.T + bias)
 
 
-@pytest.mark.parametrize(("name", "turns"), [("sac", 300), ("td3", 300), ("ppo", 800)])
+@pytest.mark.parametrize(
+    ("name", "turns"), [("sac", 300), ("td3", 300), ("ppo", 800), ("dagger", 100)]
+)
 def test_a_small_task_is_learned(name: str, turns: int) -> None:
     agent, task = build(name), Contextual()
     for _ in range(turns):
@@ -165,7 +172,7 @@ def test_divergence_shows(name: str) -> None:
     agent = build(name)
     assert not agent.diverged
     with torch.no_grad():
-        agent.critic.weights[1][0, 0, 0] = float("inf")
+        next(reversed(agent.networks.values())).weights[1][0, 0, 0] = float("inf")
     assert agent.diverged
 
 
@@ -200,6 +207,9 @@ def test_bad_sizes(name: str, options: dict[str, Any], message: str) -> None:
         (SACConfig, {"entropy_coefficient": -0.1}, "entropy_coefficient is -0.1"),
         (TD3Config, {"exploration_noise": -1.0}, "exploration_noise is -1.0"),
         (TD3Config, {"batch_size": True}, "batch_size is True"),
+        (DAggerConfig, {"action_noise": -0.1}, "action_noise is -0.1"),
+        (DAggerConfig, {"buffer_size": 100}, "one batch of 1024"),
+        (DAggerConfig, {"decay_start": 2.0}, "decay_start is 2.0"),
         (PPOConfig, {"clip": 0.0}, "clip is 0.0"),
         (PPOConfig, {"epochs": 0}, "epochs is 0"),
         (PPOConfig, {"gae_lambda": 2.0}, "gae_lambda is 2.0"),

@@ -12,7 +12,8 @@ import dexctl
 from dexctl import controllers
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
-from learning.exploration import GuidanceConfig, Guide, commitment
+from learning.exploration import GuidanceConfig, Guide, Guiding, commitment
+from learning.exploration.config import check_controllers
 
 HAND = dexctl.hands.load("dex5")
 D = HAND.nq
@@ -267,6 +268,70 @@ def test_a_controller_that_gives_no_state_begins_anew_and_that_is_said() -> None
 def test_bad_guidance(options: dict[str, Any], message: str) -> None:
     with pytest.raises((InvalidInput, UnknownName), match=message):
         GuidanceConfig(**options)
+
+
+def test_without_a_hard_stop_controllers_are_asked_to_the_end() -> None:
+    config = GuidanceConfig(method="rl+bc", hard_stop=None, beta=0.3)
+    guide = Guide(Counting(), [Constant(0.05)], config, 0)
+    found = guide.act(10**9, learner(), zeros)
+    assert guide.asks(10**9) and found.guided.all() and found.label == pytest.approx(0.5)
+    assert guide.beta(10**9) == 0.3
+
+
+WHERE = [[True, False, False, False], [True, True, False, True]]
+
+
+def test_labels_are_of_the_first_that_guides_there() -> None:
+    config = GuidanceConfig(method="rl+bc", hard_stop=None)
+    guide = Guide(Counting(), [Constant(0.05), Constant(-0.05)], config, 0, WHERE)
+    found = guide.act(0, learner(), zeros)
+    assert found.guided.tolist() == [True, True, False, True]
+    assert found.label[:, 0] == pytest.approx([0.5, -0.5, 0.25, -0.5])
+    assert found.action == pytest.approx(0.25) and not found.actor.any()
+
+
+@pytest.mark.parametrize("method", ["vge", "fge"])
+def test_nobody_acts_where_it_does_not_guide(method: Any) -> None:
+    config = GuidanceConfig(method=method, horizon=1, hard_stop=None)
+    guides = [Constant(0.05), Constant(-0.05)]
+    guide = Guide(Counting(), guides, config, 0, WHERE)
+    actors = set()
+    for step in range(100):
+        found = guide.act(step, learner(), prefer(1))
+        guide.after_step(np.zeros(4, bool))
+        actors |= set(enumerate(found.actor.tolist()))
+    if method == "vge":  # the others have values alike
+        assert actors == {(0, 1), (1, 0), (1, 2), (2, 0), (3, 0), (3, 2)}
+        assert guide.chances / 100 == pytest.approx([2.0, 1.0, 1.0])
+    else:  # a share of 1 for those that are there
+        assert actors == {(0, 1), (0, 2), (1, 2), (2, 0), (3, 2)}
+        assert guide.chances / 100 == pytest.approx([1.0, 0.5, 2.5])
+
+
+def test_where_fits_controllers_and_environments() -> None:
+    with pytest.raises(InvalidInput, match=r"where has shape \(2, 3\); expected \(1, 4\)"):
+        Guide(Counting(), [Constant(0.0)], GuidanceConfig(), 0, np.ones((2, 3), bool))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("gait", ("gait", ())),
+        ("cube=dex5-easy", ("dex5-easy", ("cube",))),
+        ("cube,l_shape=commanded:a,b", ("commanded:a,b", ("cube", "l_shape"))),
+        ("commanded:a=b", ("commanded:a=b", ())),
+        ("runs/a=b/policy.npz", ("runs/a=b/policy.npz", ())),
+    ],
+)
+def test_who_guides_with_what(text: str, found: tuple[str, tuple[str, ...]]) -> None:
+    assert Guiding.of(text) == found
+
+
+def test_labels_by_several_need_an_object_each() -> None:
+    check_controllers("rl+bc", ("cube=gait", "sphere,cylinder=igm"))
+    for names in (("gait", "igm"), ("cube=gait", "igm"), ("cube=gait", "sphere,cube=igm")):
+        with pytest.raises(InvalidInput, match="at once; it takes one, or one for each object"):
+            check_controllers("rl+bc", names)
 
 
 def test_a_guide_needs_controllers() -> None:

@@ -130,3 +130,11 @@ def test_segments_never_change_actor_before_their_end(seed: int, length: int, co
 def test_bad_length() -> None:
     with pytest.raises(InvalidInput, match="length is 0"):
         advance(Segments.start(1), [1.0], [0.5], 0)
+
+
+def test_candidates_that_are_not_there_have_no_share() -> None:
+    where = np.array([[True, True, False], [True, False, False], [True, True, True]])
+    found = value_probabilities(np.array([0.0, 0.0, 1e4]), where=where)
+    np.testing.assert_allclose(found, [[0.5, 0.5, 0], [1, 0, 0], [0, 0, 1]])
+    found = fixed_probabilities(0.6, 3, where)
+    np.testing.assert_allclose(found, [[0.4, 0.6, 0], [1, 0, 0], [0.4, 0.3, 0.3]])

@@ -32,6 +32,8 @@ OPTIONS = shlex.split(
         for name in ("sac", "td3")
     )
     + " --ppo.network 32 --ppo.rollout-steps 10"
+    + " --dagger.network 32 --dagger.batch-size 32 --dagger.buffer-size 400"
+    + " --dagger.learning-rate-end none"
 )
 RUN = (
     "import sys; from dexctl.cli.parsing import parse; from learning.cli.train import Train; "
@@ -151,6 +153,7 @@ def test_killed_and_resumed_with_the_fast_recipe(tmp_path: Path) -> None:
         ("sac", "fge", "coordinated"),
         ("td3", "vge", "switch"),
         ("ppo", "rl", "gait"),
+        ("dagger", "rl+bc", "coordinated"),
     ],
 )
 def test_stopped_half_way_equals_uninterrupted(
