@@ -178,11 +178,13 @@ def returns(side: Side, env: VectorEnv) -> np.ndarray:
 
 def build(of: TrainConfig, task: str) -> dict[str, Side]:
     """Both sides by name; ``task`` is one of gymnasium's, or "hand": of's own environments."""
+    own = of.learner
+    assert isinstance(own, Own)
     if task == "hand":
         env = make_vector(of.env, of.num_envs, of.seed)
-        return {"ours": OursInTrainer(of), "stock": Stock(of.learner, env, of.seed)}
+        return {"ours": OursInTrainer(of), "stock": Stock(own, env, of.seed)}
     envs = [gymnasium_vector(task, of.num_envs, of.seed) for _ in range(2)]
     return {
-        "ours": OursInLoop(of.learner, envs[0], of.seed),
-        "stock": Stock(of.learner, envs[1], of.seed),
+        "ours": OursInLoop(own, envs[0], of.seed),
+        "stock": Stock(own, envs[1], of.seed),
     }

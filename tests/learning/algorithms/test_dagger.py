@@ -57,10 +57,11 @@ def test_nothing_is_learned_from_nothing() -> None:
 def test_an_update_is_that_of_plain_torch() -> None:
     agent = build(policy_average=0.5, gradient_steps=1)
     agent.observe(step(np.ones(4, bool), step().action))
-    plain = torch.nn.Sequential(torch.nn.Linear(2, 16), torch.nn.ReLU(), torch.nn.Linear(16, 2))
+    first_layer, last_layer = torch.nn.Linear(2, 16), torch.nn.Linear(16, 2)
+    plain = torch.nn.Sequential(first_layer, torch.nn.ReLU(), last_layer)
     with torch.no_grad():
         for layer, weight, bias in zip(
-            (plain[0], plain[2]), agent.actor.weights, agent.actor.biases, strict=True
+            (first_layer, last_layer), agent.actor.weights, agent.actor.biases, strict=True
         ):
             layer.weight.copy_(weight[0])
             layer.bias.copy_(bias[0])
