@@ -52,6 +52,7 @@ class Options(Settings):
         "sequence:dex5-cube-z,dex5-cube-x",
         "commanded:dex5-cube-z,dex5-cube-x,dex5-cube-y",
         "commanded:dex5-easy-any,dex5-sphere-x",
+        "dex5-axes",
     )
     """Controllers, policies, policy files or run folders."""
     parts: tuple[str, ...] = PARTS
