@@ -497,8 +497,10 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
 
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the rows so far."""
+    found = sorted({row["dropped"]["of"] for row in rows})
+    counts = " or ".join(map(str, found))
     table = {
-        "title": f"Starts of episodes: the policy alone, {given.trials} episodes of "
+        "title": f"Starts of episodes: the policy alone, {counts} episodes of "
         f"{given.seconds:g} s, median rotation before any drop (95 % interval), each seed of "
         "training by itself; minutes of training (processor time)",
         "header": [
