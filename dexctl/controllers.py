@@ -266,6 +266,35 @@ def keeps_period(name: str) -> bool:
     return not found.module.startswith("dexctl.")
 
 
+def is_policy_file(name: str, folder: Path | None = None) -> bool:
+    """Whether a word is a policy file, or a folder that is there, and no other name.
+
+    Args:
+        name: the word.
+        folder: where it is meant from; None: the current one.
+    """
+    return name.endswith(".npz") or ((folder or Path()) / Path(name).expanduser()).is_dir()
+
+
+def absolute(name: str, folder: Path) -> str:
+    """A word that `resolve` takes, with absolute paths for the files in it, meant from ``folder``.
+
+    So what is written down holds wherever it is read.
+    """
+
+    def place(file: str) -> str:
+        return str((folder / Path(file).expanduser()).resolve())
+
+    if not is_named(name):
+        return place(name) if is_policy_file(name, folder) else name
+    found, (plain, after) = entry(name), _split(name)
+    if not after:
+        return name
+    if found.others:
+        return f"{plain}:{','.join(absolute(one, folder) for one in _several(after))}"
+    return f"{plain}:{place(after)}"
+
+
 def label(name: str) -> str:
     """A controller's name as part of a folder's: what stands after it may have slashes."""
     return re.sub(r"[^\w.-]+", "-", name)
@@ -372,11 +401,11 @@ def resolve(
     """
     if is_named(name) and name != POLICIES:
         return make(name, hand, control_period=control_period, axis=axis)
-    is_path = name.endswith(".npz") or Path(name).expanduser().is_dir()
-    if ":" in name and not is_path:
+    is_file = is_policy_file(name)
+    if ":" in name and not is_file:
         return _called(name, hand, {"control_period": control_period, "axis": axis})
     if POLICIES not in names():
-        if is_path or name == POLICIES:
+        if is_file or name == POLICIES:
             raise InvalidInput(f"{name}: policies need dexctl to be installed (pip install)")
         raise UnknownName("controller", name, (*names(), _FUNCTION))
     policy = None if name == POLICIES else name

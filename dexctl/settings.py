@@ -17,6 +17,7 @@ from typing import (
     Annotated,
     Any,
     Literal,
+    NamedTuple,
     TypeVar,
     Union,
     cast,
@@ -36,6 +37,18 @@ T = TypeVar("T")
 
 FILE_OR_NAME = "a file, or a name"
 """Marks a text that may be the path of a file (`dexctl.files.is_path`); see `absolute`."""
+
+
+class Located(NamedTuple):
+    """Marks a setting with the names of files in it; see `absolute`.
+
+    Attributes:
+        absolute: from the value and the folder that its files are meant from, the value with
+            absolute paths.
+    """
+
+    absolute: Callable[[Any, Path], Any]
+
 
 BY_PATH = "settings by their paths"
 """Marks a nested configuration whose settings go by their paths only, so that their own names stay
@@ -284,15 +297,19 @@ def absolute(config: C, folder: Path) -> C:
     So what is written down holds wherever it is read. A path that may be a name too is one where
     nothing is at that place and it has no suffix or slash.
     """
-    found = {}
+    found: dict[str, Any] = {}
+    marked = _marked(type(config))
     for path in paths(type(config)):
-        value = get(config, path)
-        if isinstance(value, Path):
+        value, marks = get(config, path), marked.get(path, ())
+        located = [mark for mark in marks if isinstance(mark, Located)]
+        if located:
+            found[path] = located[0].absolute(value, folder)
+        elif isinstance(value, Path):
             place = (folder / value.expanduser()).resolve()
-            named = path in _files_or_names(type(config)) and not is_path(str(value))
+            named = FILE_OR_NAME in marks and not is_path(str(value))
             if place.exists() or not named:
                 found[path] = place
-        elif isinstance(value, str) and is_path(value) and path in _files_or_names(type(config)):
+        elif isinstance(value, str) and is_path(value) and FILE_OR_NAME in marks:
             found[path] = str((folder / Path(value).expanduser()).resolve())
     return changed(config, found)
 
@@ -310,16 +327,17 @@ def _by_path(kind: type) -> tuple[str, ...]:
 
 
 @cache
-def _files_or_names(kind: type) -> frozenset[str]:
-    """The dotted paths of the settings that are marked with `FILE_OR_NAME`."""
-    found = set()
+def _marked(kind: type) -> Mapping[str, tuple[Any, ...]]:
+    """What the settings that are `Annotated` are marked with, by their dotted paths."""
+    found = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         plain = _hints(kind).get(name)
         if is_dataclass(plain):
-            found |= {f"{name}.{path}" for path in _files_or_names(cast(type, plain))}
-        elif get_origin(hint) is Annotated and FILE_OR_NAME in get_args(hint):
-            found.add(name)
-    return frozenset(found)
+            below = _marked(cast(type, plain))
+            found |= {f"{name}.{path}": marks for path, marks in below.items()}
+        elif get_origin(hint) is Annotated:
+            found[name] = get_args(hint)[1:]
+    return found
 
 
 def differing(a: Any, b: Any) -> list[str]:

@@ -16,7 +16,7 @@ from dexctl import controllers, hands
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.files import is_path
 from dexctl.hand_config import HandConfig
-from dexctl.settings import FILE_OR_NAME, NESTED, changed
+from dexctl.settings import FILE_OR_NAME, NESTED, Located, changed
 from dexctl.validation import check_whole
 from learning import policies
 from learning.algorithms.config import (
@@ -28,7 +28,12 @@ from learning.algorithms.config import (
     TD3Config,
 )
 from learning.envs.config import EnvConfig
-from learning.exploration.config import GuidanceConfig, Guiding, check_controllers
+from learning.exploration.config import (
+    GuidanceConfig,
+    Guiding,
+    absolute_guides,
+    check_controllers,
+)
 from learning.starts.config import StartsConfig
 from learning.training.curriculum import CurriculumConfig
 
@@ -50,7 +55,7 @@ class TrainConfig:
     env: EnvConfig = EnvConfig()
     guidance: Annotated[GuidanceConfig, NESTED] = GuidanceConfig()
     curriculum: Annotated[CurriculumConfig, NESTED] = CurriculumConfig()
-    controllers: tuple[str, ...] = ("gait",)
+    controllers: Annotated[tuple[str, ...], Located(absolute_guides)] = ("gait",)
     """Controllers that guide, or policies, one or several; OBJECT,...=NAME guides with these
     objects only. Not used by the method rl."""
     algorithm: Kind = "sac"
@@ -140,7 +145,8 @@ class TrainConfig:
             if name not in there:
                 raise UnknownName("object of a guide", name, there)
         name = guide.controller
-        if not (controllers.is_named(name) or is_path(name) or name in policies.names()):
+        is_file = is_path(name) or controllers.is_policy_file(name)
+        if not (controllers.is_named(name) or is_file or name in policies.names()):
             raise UnknownName("controller", name, (*controllers.names(), *policies.names()))
 
     def _check_dagger(self) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dexctl.description.files import files_of
-from dexctl.hand_config import HandConfig, HeldObject
+from dexctl.hand_config import MENAGERIE, HandConfig, HeldObject
 from dexctl.hand_toml import to_toml
 
 if TYPE_CHECKING:
@@ -30,11 +30,20 @@ def digest(config: HandConfig, description: Path) -> str:
 
 
 def identity(hand: HandModel) -> dict[str, str]:
-    """What a card or a run folder says of the hand: name, files and digest."""
-    source = hand.config.source
+    """What a card or a run folder says of the hand: name, files and digest.
+
+    Files of this package are told by their names, those of the menagerie as a toml tells them:
+    where they lie differs from machine to machine.
+    """
+    source, description = hand.config.source, str(hand.config.description)
     return {
         "name": hand.name,
-        **({} if source is None else {"toml": str(source)}),
-        "description": str(hand.path),
+        **({} if source is None else {"toml": _place(source)}),
+        "description": description if description.startswith(MENAGERIE) else _place(hand.path),
         "sha256": hand.digest,
     }
+
+
+def _place(path: Path) -> str:
+    own = Path(__file__).resolve().parent
+    return path.name if path.resolve().parent == own else str(path)

@@ -26,9 +26,7 @@ class TD3(OffPolicy):
         self.networks["actor_target"] = self.actor.copy()
 
     def _explore(self, observation: torch.Tensor) -> torch.Tensor:
-        action = torch.tanh(self.actor(observation)[0])
-        noise = self.config.exploration_noise * self._noise(action)
-        return (action + noise).clamp_(-1.0, 1.0)
+        return self._around_the_policy(observation, self.config.exploration_noise)
 
     def _learn(self, batch: Batch, beta: float) -> dict[str, torch.Tensor]:
         config, networks = self.config, self.networks

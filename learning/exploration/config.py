@@ -6,8 +6,10 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, NamedTuple, Self, get_args
 
+from dexctl import controllers
 from dexctl.exceptions import InvalidInput
 from dexctl.validation import check_name, check_numbers, check_whole
 
@@ -117,6 +119,18 @@ class Guiding(NamedTuple):
         """What ``text`` says."""
         found = re.fullmatch(r"(\w+(?:,\w+)*)=(.+)", text)
         return cls(text) if found is None else cls(found[2], tuple(found[1].split(",")))
+
+    def __str__(self) -> str:
+        return f"{','.join(self.objects)}={self.controller}" if self.objects else self.controller
+
+
+def absolute_guides(names: tuple[str, ...], folder: Path) -> tuple[str, ...]:
+    """Who guides, with absolute paths for the files in it, which are meant from ``folder``."""
+    guides = [Guiding.of(name) for name in names]
+    return tuple(
+        str(guide._replace(controller=controllers.absolute(guide.controller, folder)))
+        for guide in guides
+    )
 
 
 def check_controllers(method: str, names: Sequence[str]) -> None:

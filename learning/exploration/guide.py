@@ -89,18 +89,17 @@ class Guide:
         where: ArrayLike | None = None,
     ) -> None:
         if config.method == "rl":
-            controllers = ()
+            controllers, where = (), None
         self.env, self.config = env, config
         self.controllers = tuple(controllers)
-        if where is None or not self.controllers:
-            names = [type(controller).__name__ for controller in controllers]
-            check_controllers(config.method, names)
-        self._there = np.ones((env.num_envs, 1 + len(self.controllers)), bool)
-        if where is not None and self.controllers:
-            shape = len(self.controllers), env.num_envs
-            if np.shape(where) != shape:
-                raise InvalidInput(f"where has shape {np.shape(where)}; expected {shape}")
-            self._there[:, 1:] = np.transpose(where)
+        shape = len(self.controllers), env.num_envs
+        if where is None:
+            check_controllers(config.method, [type(one).__name__ for one in self.controllers])
+            where = np.ones(shape, bool)
+        if np.shape(where) != shape:
+            raise InvalidInput(f"where has shape {np.shape(where)}; expected {shape}")
+        policy = np.ones((1, env.num_envs), bool)
+        self._there = np.concatenate([policy, np.asarray(where, bool)]).T
         guides = self._there.copy()
         guides[:, POLICY] = False
         self._labels = guides.argmax(axis=1)  # the first that guides there; the policy: nobody

@@ -11,6 +11,7 @@ import numpy as np
 from dexctl.exceptions import MissingExtra
 from dexctl.settings import changed
 from dexctl.state import Floats, GraspState
+from learning.algorithms.config import OffPolicyConfig
 from learning.evaluation import Subject
 from learning.exploration.mixture import value_probabilities
 from learning.training.run_folder import CheckpointError, RunFolder
@@ -108,10 +109,11 @@ def open_critic(subject: Subject) -> tuple[Critic | None, str | None]:
         return None, "A controller has no critic, so there is no p_psi."
     if folder is None:
         return None, "A policy has no critic: p_psi needs the run folder, with its checkpoint."
-    algorithm = folder.config().algorithm
-    if algorithm in ("ppo", "dagger"):
-        return None, f"The run's algorithm, {algorithm}, has no critic of actions, so no p_psi."
-    if folder.config().env.history:
+    config = folder.config()
+    if not isinstance(config.learner, OffPolicyConfig):
+        found = f"The run's algorithm, {config.algorithm}, has no critic of actions"
+        return None, f"{found}, so there is no p_psi."
+    if config.env.history:
         return None, "The run's critic observes what was before, too, so there is no p_psi."
     if not folder.checkpoint_path.exists():
         name = folder.checkpoint_path.name

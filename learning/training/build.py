@@ -30,7 +30,7 @@ def build_guide(config: TrainConfig, env: ManipulationVectorEnv) -> Guide:
         for guide in guides
     ]
     where = [np.isin(env.objects, guide.objects or env.objects) for guide in guides]
-    return Guide(env, made, config.guidance, config.seed, where)
+    return Guide(env, made, config.guidance, config.seed, where or None)
 
 
 def build_algorithm(config: TrainConfig, env: ManipulationVectorEnv) -> Algorithm:

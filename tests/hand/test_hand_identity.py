@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -72,3 +73,12 @@ def test_what_a_card_says(folder: Path) -> None:
     assert said["name"] == "mine" and said["toml"] == str(folder / "mine.toml")
     assert said["description"] == str(folder / "hand.xml")
     assert said["sha256"] == hand.digest and len(hand.digest) == 64
+
+
+@pytest.mark.parametrize("name", ["dex5", "leap_hand", "wonik_allegro", "shadow_hand"])
+def test_files_of_the_package_are_told_by_their_names(
+    name: str, hand_of: Callable[[str], HandModel]
+) -> None:
+    said = identity(hand_of(name))
+    assert said["toml"] == f"{name}.toml"
+    assert said["description"] in ("dex5.xml", f"menagerie:{name}/right_hand.xml")

@@ -63,3 +63,14 @@ def test_make_has_the_targets_that_are_promised() -> None:
     makefile = (ROOT / "Makefile").read_text()
     for target in ("demo", "test", "test-slow", "lint", "bench", "docs", "clean"):
         assert re.search(rf"^{target}:", makefile, re.M), target
+
+
+def test_nothing_names_a_place_of_one_machine() -> None:
+    """Of what is committed as JSON: cards of policies, results, configurations of runs."""
+    found = [
+        path
+        for folder in ("learning", "benchmarks")
+        for path in (ROOT / folder).rglob("*.json")
+        if re.search(r'"(/|[A-Z]:\\\\)\w', path.read_text())
+    ]
+    assert found == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from learning import policies
 from learning.config import TrainConfig, recipe
 from learning.training.build import build_env, build_guide
 from learning.training.run_folder import RunFolder
-from learning.training.trainer import train
+from learning.training.trainer import resume, train
 
 Make = Callable[..., TrainConfig]
 DAGGER = {"algorithm": "dagger", "method": "rl+bc", "hard_stop": None}
@@ -57,6 +58,22 @@ def test_a_run_makes_a_policy_that_does_what_its_guide_does(small: Make, tmp_pat
         state = env.state
         error = policies.load(found["policy"]).act(state) - policies.load("dex5-easy").act(state)
     assert np.sqrt((error**2).mean()) < 0.03  # [rad]; they move by up to 0.1
+
+
+def test_guides_of_files_are_found_from_anywhere(
+    small: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    copyfile(policies.FOLDER / "dex5-easy.npz", tmp_path / "mine.npz")
+    more = {"scaled": True, "max_speed": 2.0, "object": ("cube", "sphere"), "steps": 40}
+    guides = ("cube=commanded:mine.npz,dex5-easy", "sphere=teacher")
+    train(small(**DAGGER, **more, controllers=("dex5-easy",)), Path("teacher"))
+    train(small(**DAGGER, **more, controllers=guides), Path("run"))
+    monkeypatch.chdir(tmp_path / "run")
+    assert RunFolder(Path()).config().guide_names == (
+        f"commanded:{tmp_path}/mine.npz,dex5-easy", f"{tmp_path}/teacher",
+    )  # fmt: skip
+    assert resume(Path(), 80)["steps"] == 80
 
 
 def test_the_recipe() -> None:
