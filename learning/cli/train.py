@@ -120,16 +120,17 @@ class _Bar:
         self._task: TaskID | None = None
 
     def __enter__(self) -> _Bar:
-        self._progress.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._progress.stop()
+        if self._task is not None:  # an error before the first step is one line, nothing above it
+            self._progress.stop()
 
     def show(self, step: int, row: Mapping[str, float]) -> None:
         """Called after each step of all environments."""
         if self._task is None:  # a resumed run does not start at 0
             self._task = self._progress.add_task("", total=self._total, completed=step)
+            self._progress.start()
         self._progress.update(self._task, completed=step, description=_figures(row))
 
     def remark(self, text: str) -> None:

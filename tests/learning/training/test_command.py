@@ -240,3 +240,14 @@ def test_tally_by_hand() -> None:
         "diverged": 0.0, "reward": 1.0,
     }  # fmt: skip
     assert tally.row() == {"episodes": 0}
+
+
+def test_nothing_is_shown_above_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty.npz").touch()
+    guide = str(tmp_path / "empty.npz")
+    made = command("--recipe", "distil", "--controllers", guide, "--out", str(tmp_path / "run"))
+    with pytest.raises(InvalidInput, match="is not a policy file"):
+        made.run()
+    assert capsys.readouterr().err == ""
