@@ -6,9 +6,11 @@ apart; controllers differ by line style as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 from dexctl import controllers
 from dexctl.exceptions import MissingExtra, UnknownName
@@ -29,6 +31,7 @@ _CONTROLLERS = {
     "learned": ("#5b3fa0", "-"),
     "hold": ("#7b8794", ":"),
 }
+_OTHERS = ((0, (7, 1.5)), (0, (3, 1, 1, 1)), (0, (2, 1)))
 _SETTINGS = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same on every machine
@@ -65,17 +68,26 @@ def finger_colour(i: int) -> str:
 
 
 def controller_line(name: str) -> dict[str, Any]:
-    """``color`` and ``linestyle`` of a controller's lines; other names get a neutral one."""
-    colour, style = _CONTROLLERS.get(name, (INK, "-"))
+    """``color`` and ``linestyle`` of a controller's lines, the same in every figure.
+
+    Names without a line of their own have one by their letters, so that two can be told apart.
+    """
+    if name in _CONTROLLERS:
+        colour, style = _CONTROLLERS[name]
+    else:
+        row, column = divmod(crc32(name.encode()) % (len(_OTHERS) * len(_FINGERS)), len(_FINGERS))
+        colour, style = _FINGERS[column], _OTHERS[row]
     return {"color": colour, "linestyle": style}
 
 
 def title_of(name: str) -> str:
-    """What people read for a controller's name."""
+    """What people read for a controller's name; of files in it the last part."""
     try:
-        return controllers.entry(name).title
+        title = controllers.entry(name).title
     except UnknownName:
         return name
+    after = [Path(one).name for one in name.partition(":")[2].split(",")]
+    return f"{title} ({', '.join(after)})" if any(after) else title
 
 
 @contextmanager
@@ -97,16 +109,23 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height))
 
 
+def legend_columns(labels: Sequence[str]) -> int:
+    """Columns of a legend as wide as a figure: one row, two where it is long, more where one is."""
+    fits = sum(map(len, labels)) <= _LEGEND_LETTERS
+    columns = len(labels) if fits else (len(labels) + 1) // 2
+    longest = max(map(len, labels), default=1)
+    return max(1, min(columns, _LEGEND_LETTERS // max(longest, 1)))
+
+
 def legend_above(axes: Axes) -> None:
     """The legend above the axes, where it covers nothing: one row, or two where it is long."""
     handles, labels = axes.get_legend_handles_labels()
-    fits = sum(map(len, labels)) <= _LEGEND_LETTERS
     axes.legend(
         handles,
         labels,
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
-        ncols=len(labels) if fits else (len(labels) + 1) // 2,
+        ncols=legend_columns(labels),
         borderaxespad=0.2,
         handlelength=2.4,
         columnspacing=1.4,

@@ -12,7 +12,7 @@ from dexctl.files import aside, write_text
 from dexctl.limits import HandLimits
 from dexctl.report import figures, html, summarise, summarise_batch, words
 from dexctl.report.conditions import not_as_usual
-from dexctl.report.style import drawing
+from dexctl.report.style import controller_line, drawing, legend_columns, title_of
 from dexctl.report.summary import share_of
 from dexctl.sim import Push, SceneConfig, Sensing, Trace
 from dexctl.statistics import Estimate
@@ -202,3 +202,21 @@ def test_one_trial_of_a_batch() -> None:
         "0.residual": (10,), "finger": (10,),
     }  # fmt: skip
     assert summarise(alone) == summarise(whole, 1)
+
+
+def test_controllers_made_of_others_are_told_apart() -> None:
+    names = ("commanded:dex5-cube-z,runs/a/b.npz", "commanded:dex5-sphere-x", "planned:out/t.npz")
+    assert [title_of(name) for name in names] == [
+        "turning as commanded (dex5-cube-z, b.npz)", "turning as commanded (dex5-sphere-x)",
+        "planned gait (t.npz)",
+    ]  # fmt: skip
+    assert title_of("igm") == "in-grasp manipulation" and title_of("mine") == "mine"
+    lines = [tuple(controller_line(name).values()) for name in (*names, "igm", "coordinated")]
+    assert len(set(lines)) == len(lines)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "columns"), [([], 1), ([10, 10], 2), ([22] * 5, 3), ([60, 50, 6], 1), ([90], 1)]
+)
+def test_columns_of_a_legend(lengths: list[int], columns: int) -> None:
+    assert legend_columns(["x" * length for length in lengths]) == columns

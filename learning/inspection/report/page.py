@@ -327,7 +327,7 @@ def _training(found: Inspection) -> str:
     config = log.config
     last = {name: values[-1] for name, values in log.columns.items()}
     shares = ", ".join(
-        f"{title_of(name)} {percent(float(np.nan_to_num(share[-1])))}"
+        f"{training_plots.guide_title(name)} {percent(float(np.nan_to_num(share[-1])))}"
         for name, share in log.shares().items()
     )
     return html.section(

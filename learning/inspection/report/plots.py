@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dexctl.report.figures import WIDTH
-from dexctl.report.style import FAINT, INK, controller_line, finger_colour, new_figure, title_of
+from dexctl.report.style import (
+    FAINT,
+    INK,
+    controller_line,
+    finger_colour,
+    legend_columns,
+    new_figure,
+    title_of,
+)
 from learning.inspection.findings import Inspection
 from learning.inspection.gait import runs
 
@@ -126,7 +134,8 @@ def angle_figure(found: Inspection) -> Figure:
     panels[0].set(ylabel="steps with at most this angle [%]")
     handles, labels = panels[0].get_legend_handles_labels()
     if handles:
-        figure.legend(handles, labels, loc="outside upper left", ncols=4, handlelength=2.2)
+        figure.legend(handles, labels, loc="outside upper left",
+                      ncols=legend_columns(labels), handlelength=2.2)  # fmt: skip
     return figure
 
 
@@ -151,7 +160,8 @@ def critic_figure(found: Inspection) -> Figure:
     bottom.set(ylabel="probability", ylim=(0, 1), xlabel="time [s]")
     bottom.set_title("Who would act: softmax of these values")
     bottom.margins(x=0)
-    top.legend(loc="best", ncols=len(names), fontsize=8)
+    columns = legend_columns([title_of(name) for name in names])
+    top.legend(loc="best", ncols=columns, fontsize=8)
     return figure
 
 

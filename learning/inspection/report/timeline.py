@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dexctl.report.figures import WIDTH, switching_fingers
-from dexctl.report.style import FAINT, INK, controller_line, finger_colour, new_figure, title_of
+from dexctl.report.style import (
+    FAINT,
+    INK,
+    controller_line,
+    finger_colour,
+    legend_columns,
+    new_figure,
+    title_of,
+)
 from dexctl.state import Bools, Floats
 from learning.inspection.findings import Inspection
 from learning.inspection.gait import runs
@@ -229,7 +237,7 @@ def _legend(axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
     if labels:
         axes.legend(
-            handles, labels, loc="upper right", ncols=min(len(labels), 5), borderaxespad=0.1,
+            handles, labels, loc="upper right", ncols=legend_columns(labels), borderaxespad=0.1,
             handlelength=2.0, columnspacing=1.2, fontsize=8, frameon=True, facecolor="white",
             framealpha=0.8, edgecolor="none", borderpad=0.2,
         )  # fmt: skip

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dexctl.report.figures import WIDTH
-from dexctl.report.style import FAINT, INK, controller_line, new_figure, title_of
+from dexctl.report.style import (
+    FAINT,
+    INK,
+    controller_line,
+    legend_columns,
+    new_figure,
+    title_of,
+)
+from learning.exploration import Guiding
 from learning.inspection.training import TrainingLog
 
 if TYPE_CHECKING:
@@ -15,6 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LINE = "#0072b2"
+
+
+def guide_title(name: str) -> str:
+    """What people read for who guided a run, with the objects where it was with some only."""
+    guide = Guiding.of(name)
+    title = title_of(guide.controller)
+    return f"{', '.join(guide.objects)}: {title}" if guide.objects else title
 
 
 def acting_figure(log: TrainingLog) -> Figure:
@@ -25,23 +40,25 @@ def acting_figure(log: TrainingLog) -> Figure:
     if shares:
         stacked = [np.nan_to_num(share) for share in shares.values()]
         policy = np.clip(1.0 - np.sum(stacked, axis=0), 0.0, 1.0)
+        labels = [*map(guide_title, shares), "policy"]
         top.stackplot(
             steps,
             *stacked,
             policy,
-            labels=[*(title_of(name) for name in shares), "policy"],
+            labels=labels,
             colors=[*(controller_line(name)["color"] for name in shares), "#e8ecef"],
             alpha=0.85,
             lw=0,
         )
-        top.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=5, handlelength=1.2)
+        top.legend(loc="lower left", bbox_to_anchor=(0, 1.0),
+                   ncols=legend_columns(labels), handlelength=1.2)  # fmt: skip
     else:
         _say(top, "no controllers guided this run")
     top.set(ylabel="share of the steps", ylim=(0, 1))
     if log.has("p_psi"):
         for name in log.config.guides:
             if log.has(f"p_{name}"):
-                bottom.plot(steps, log.columns[f"p_{name}"], label=title_of(name),
+                bottom.plot(steps, log.columns[f"p_{name}"], label=guide_title(name),
                             **controller_line(name))  # fmt: skip
         if len(log.config.guides) > 1:
             bottom.plot(steps, log.columns["p_psi"], color=INK, lw=1.0, label="any of them")

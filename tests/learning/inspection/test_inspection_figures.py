@@ -8,6 +8,7 @@ import pytest
 from dexctl.exceptions import InvalidInput
 from learning.inspection import action_angle, gait_statistics
 from learning.inspection.gait import runs, steady
+from learning.inspection.report.training_plots import guide_title
 from learning.inspection.rollout import _sum_of_last
 
 
@@ -101,3 +102,8 @@ def test_fingers_without_order_have_no_regular_phase() -> None:
     assert gait.cycles[1] > 80
     assert gait.regularity[1] < 0.25
     assert gait.regularity[0] == pytest.approx(1.0)
+
+
+def test_a_guide_is_told_with_its_objects() -> None:
+    assert guide_title("cube,sphere=igm") == "cube, sphere: in-grasp manipulation"
+    assert guide_title("coordinated") == "coordinated gait"
