@@ -25,6 +25,7 @@ from common import (
     write,
 )
 
+from dexctl.controllers import paced
 from dexctl.files import aside
 from dexctl.report.style import INK, drawing, finger_colour, new_figure
 from dexctl.settings import changed
@@ -167,9 +168,10 @@ def key_of(row: dict[str, Any]) -> tuple[str, str, str]:
 @cache
 def _objects(who: str) -> tuple[str, ...]:
     """Of a shipped policy, by its card: its hand's file need not be there."""
-    if who not in policies.names():
+    plain = paced(who)[0]
+    if plain not in policies.names():
         return ()
-    card = json.loads((policies.FOLDER / f"{who}.json").read_text())
+    card = json.loads((policies.FOLDER / f"{plain}.json").read_text())
     return tuple(card["trained"]["env"]["scene"]["object"])
 
 
@@ -285,17 +287,20 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def write_cards(rows: list[dict[str, Any]], given: Options) -> None:
-    """What was measured, in the cards of the policies."""
+    """What was measured, at whichever pace, in the cards of the policies."""
     keys = ("object", "time_s", "holding", "revolutions_median", "speed_rad_s", "fingertips_only")
-    for who in given.who:
-        path = policies.FOLDER / f"{who}.npz" if who in policies.names() else Path(who)
-        if path.suffix == ".npz":
-            tested = [
-                {"conditions": CONDITIONS[row["condition"]].text} | {key: row[key] for key in keys}
-                for row in rows
-                if row["who"] == who
-            ]
-            policies.annotate(path, tested={"first_seed": given.seed, "results": tested})
+    for plain in dict.fromkeys(paced(who)[0] for who in given.who):
+        path = policies.FOLDER / f"{plain}.npz" if plain in policies.names() else Path(plain)
+        if path.suffix != ".npz":
+            continue
+        tested = []
+        for row in rows:
+            name, pace = paced(row["who"])
+            if name == plain:
+                how = {"pace": pace} if pace != 1.0 else {}
+                text = CONDITIONS[row["condition"]].text
+                tested.append({"conditions": text} | how | {key: row[key] for key in keys})
+        policies.annotate(path, tested={"first_seed": given.seed, "results": tested})
 
 
 def main() -> None:

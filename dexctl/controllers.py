@@ -7,7 +7,8 @@ returns the `Controller`. One that names a keyword ``axis`` can be told about wh
 object; any other turns about z. It is loaded when it is made, not before.
 
 A controller that needs a file, or another controller, has it after its name:
-``planned:tree.npz``, ``steered:goal``, ``sequence:dex5-cube-z,dex5-cube-x``.
+``planned:tree.npz``, ``steered:goal``, ``sequence:dex5-cube-z,dex5-cube-x``. A policy has its pace
+there, where it is to go slower than it was trained to: ``dex5-robust@0.8``.
 """
 
 from __future__ import annotations
@@ -201,6 +202,7 @@ Z = (0.0, 0.0, 1.0)  # the axis of every controller that is not told another one
 POLICIES = "learned"
 """The name whose object takes policies: ``object(hand, policy=NAME, FILE or FOLDER)``."""
 _FUNCTION = "module:function"
+_PACE = re.compile(r"\d+(\.\d*)?|\.\d+")
 
 # words for a name that comes with dexctl, whose object is of another room
 _WORDS = {
@@ -266,14 +268,24 @@ def keeps_period(name: str) -> bool:
     return not found.module.startswith("dexctl.")
 
 
+def paced(name: str) -> tuple[str, float]:
+    """A policy's name, file or folder without the pace behind it, and the pace; 1 without one.
+
+    It may be out of range: who makes the policy says so.
+    """
+    plain, _, pace = name.rpartition("@")
+    return (plain, float(pace)) if plain and _PACE.fullmatch(pace) else (name, 1.0)
+
+
 def is_policy_file(name: str, folder: Path | None = None) -> bool:
     """Whether a word is a policy file, or a folder that is there, and no other name.
 
     Args:
-        name: the word.
+        name: the word, with a pace or without.
         folder: where it is meant from; None: the current one.
     """
-    return name.endswith(".npz") or ((folder or Path()) / Path(name).expanduser()).is_dir()
+    plain = paced(name)[0]
+    return plain.endswith(".npz") or ((folder or Path()) / Path(plain).expanduser()).is_dir()
 
 
 def absolute(name: str, folder: Path) -> str:
@@ -286,7 +298,8 @@ def absolute(name: str, folder: Path) -> str:
         return str((folder / Path(file).expanduser()).resolve())
 
     if not is_named(name):
-        return place(name) if is_policy_file(name, folder) else name
+        plain = paced(name)[0]
+        return place(plain) + name[len(plain) :] if is_policy_file(name, folder) else name
     found, (plain, after) = entry(name), _split(name)
     if not after:
         return name
@@ -384,7 +397,8 @@ def resolve(
 
     Args:
         name: a controller by name, as `make` takes it, a policy by name (``dex5-cylinder``), a
-            policy file (``.npz``), a run folder, or ``module:function``, which is called as
+            policy file (``.npz``) or a run folder, these three with a pace (``dex5-cylinder@0.8``)
+            or without, or ``module:function``, which is called as
             ``function(hand, control_period=..., axis=...)``, without what is None; one that takes
             no axis turns about z.
         hand: the hand.

@@ -145,8 +145,11 @@ class TrainConfig:
             if name not in there:
                 raise UnknownName("object of a guide", name, there)
         name = guide.controller
-        is_file = is_path(name) or controllers.is_policy_file(name)
-        if not (controllers.is_named(name) or is_file or name in policies.names()):
+        plain, pace = controllers.paced(name)
+        if plain != name:
+            policies.check_pace(pace)
+        is_file = is_path(plain) or controllers.is_policy_file(name)
+        if not (controllers.is_named(name) or is_file or plain in policies.names()):
             raise UnknownName("controller", name, (*controllers.names(), *policies.names()))
 
     def _check_dagger(self) -> None:

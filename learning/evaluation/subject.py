@@ -133,8 +133,8 @@ def open_subject(
     """Who ``name`` names.
 
     Args:
-        name: a controller, a policy by name, a policy file (.npz), a run folder, or
-            ``module:function`` (see `dexctl.controllers.resolve`).
+        name: a controller, a policy by name, a policy file (.npz), a run folder, these with a pace
+            behind them or without, or ``module:function`` (see `dexctl.controllers.resolve`).
         hand: name of the hand; None is a policy's own, dex5 for a controller.
         parts: refuse a policy that was trained with other observation parts than these.
         axis: that a controller turns about; None is its own.
@@ -144,8 +144,9 @@ def open_subject(
         InvalidInput: a damaged file, a run without policy, a policy for another hand or with other
             parts, or a card that this version cannot read.
     """
-    path = Path(name).expanduser()
-    policy = path.is_dir() or name.endswith(".npz") or name in names()
+    plain = controllers.paced(name)[0]
+    path = Path(plain).expanduser()
+    policy = controllers.is_policy_file(name) or plain in names()
     if policy and not controllers.is_named(name):
         folder = RunFolder(path) if path.is_dir() else None
         if folder is not None and not folder.config_path.exists():

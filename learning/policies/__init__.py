@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl import hands
+from dexctl.controllers import paced
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from dexctl.validation import unit_axis
 from learning.envs.observation import TURNING
 from learning.policies.file import annotate, read, save
-from learning.policies.policy import Layer, Policy, PolicySpec, other_hand
+from learning.policies.policy import Layer, Policy, PolicySpec, check_pace, other_hand
 
 __all__ = [
-    "Layer", "Policy", "PolicySpec", "annotate", "learned", "load", "names", "other_hand", "save",
+    "Layer", "Policy", "PolicySpec", "annotate", "check_pace", "learned", "load", "names",
+    "other_hand", "save",
 ]  # fmt: skip
 
 FOLDER = Path(__file__).parent
@@ -43,12 +45,14 @@ def load(
     goal: ArrayLike | None = None,
     angular_velocity: ArrayLike | None = None,
     axis: ArrayLike | None = None,
+    pace: float | None = None,
 ) -> Policy:
     """A policy, ready to run.
 
     Args:
         name_or_path: one of `names`, a policy file (``.npz``), or a run folder that holds one. The
-            card need not be beside a file.
+            card need not be beside a file. With ``@`` and a number behind it the policy goes at
+            that pace: ``dex5-robust@0.8``.
         hand: the hand to run it on; None loads the one that it was trained on.
         parts: refuse a policy that was trained with other observation parts than these.
         goal, angular_velocity: what is wanted where a state does not tell; see `Policy`.
@@ -56,14 +60,16 @@ def load(
             speeds of the commands that the policy was trained with, or as the hand's symmetry makes
             it of the axis that it was trained for. On dex5, which is its own mirror image, a policy
             for z turns as well about -z. None: the policy's own.
+        pace: above 0 and at most 1, see `Policy`. None: what stands behind the name, or 1.
 
     Raises:
         UnknownName: it is none of these, or there is no hand of that name.
         InvalidInput: no such file, one that is damaged or of another format, or a policy for
             another hand, with other observation parts, or for an axis that cannot be turned to
-            this one.
+            this one; a pace that is none.
     """
-    path = _path(name_or_path)
+    plain, own_pace = paced(str(name_or_path))
+    path = _path(plain)
     layers, spec, card = read(path)
     if isinstance(hand, str):
         hand = hands.load(hand)
@@ -73,7 +79,10 @@ def load(
         model = hands.load(spec.hand) if hand is None else hand
         if axis is not None and angular_velocity is None and TURNING in spec.observation["parts"]:
             angular_velocity = _commanded_speed(card) * np.array(unit_axis(axis))
-        found = Policy(model, layers, spec, card, goal=goal, angular_velocity=angular_velocity)
+        found = Policy(
+            model, layers, spec, card, goal=goal, angular_velocity=angular_velocity,
+            pace=own_pace if pace is None else pace,
+        )  # fmt: skip
         return found if axis is None else found.turned_to(axis)
     except DexctlError as error:
         raise InvalidInput(f"policy {str(path)!r}: {error}") from None
@@ -135,7 +144,7 @@ def _commanded_speed(card: Mapping[str, Any]) -> float:
         ) from None
 
 
-def _path(name_or_path: str | Path) -> Path:
+def _path(name_or_path: str) -> Path:
     """The file that is meant; it need not be there."""
     if name_or_path in names():
         return FOLDER / f"{name_or_path}.npz"
@@ -150,4 +159,4 @@ def _path(name_or_path: str | Path) -> Path:
             "with the first checkpoint)"
         )
     known = (*names(), "a policy file (.npz)", "a run folder")
-    raise UnknownName("policy", str(name_or_path), known)
+    raise UnknownName("policy", name_or_path, known)

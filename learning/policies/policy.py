@@ -138,6 +138,18 @@ def other_hand(policy: Policy) -> str | None:
     )
 
 
+def check_pace(pace: float) -> float:
+    """The pace, once it is known to be one.
+
+    Raises:
+        InvalidInput: it is not.
+    """
+    number = isinstance(pace, (int, float, np.number)) and not isinstance(pace, bool)
+    if not number or not 0.0 < pace <= 1.0:
+        raise InvalidInput(f"pace is {pace!r}; expected a number above 0 and at most 1")
+    return float(pace)
+
+
 @final
 class Policy(Controller):
     """A trained policy, deterministic: tanh of a multilayer perceptron of the observation.
@@ -155,14 +167,17 @@ class Policy(Controller):
             tell; for policies that can be told.
         symmetry: of the hand; the policy acts as in this image of the hand, so that one for z turns
             about -z. None: as it was trained.
+        pace: share, above 0 and at most 1, of every set-point change that is made. Contacts, not
+            momentum, decide what a slow hand does, so the policy does what it did in more time, and
+            drops less.
 
     Attributes:
-        spec, card, symmetry: as given.
+        spec, card, symmetry, pace: as given.
         observation, action: how observations and set-point changes are made.
 
     Raises:
-        InvalidInput: the layers do not fit the observation, the hand or each other, or the policy
-            was not trained to be told what is wanted.
+        InvalidInput: the layers do not fit the observation, the hand or each other, the policy was
+            not trained to be told what is wanted, or the pace is none.
     """
 
     def __init__(
@@ -175,6 +190,7 @@ class Policy(Controller):
         goal: ArrayLike | None = None,
         angular_velocity: ArrayLike | None = None,
         symmetry: HandSymmetry | None = None,
+        pace: float = 1.0,
     ) -> None:
         super().__init__(hand, control_period=spec.action["control_period"])
         spec.check_hand(hand)
@@ -187,6 +203,7 @@ class Policy(Controller):
         self.history = History(self.observation.size, spec.history)
         self.layers = check_layers(layers, self.history.size, hand.nq)
         self.symmetry = symmetry
+        self.pace = check_pace(pace)
         self._fresh = np.ones(0, bool)  # whose history begins with the next observation
         self._activation = ACTIVATIONS[spec.activation]
         self._wanted = {
@@ -238,7 +255,7 @@ class Policy(Controller):
                 + ", ".join(sorted(images))
             )
         return Policy(
-            self.hand, self.layers, self.spec, self.card, symmetry=symmetry,
+            self.hand, self.layers, self.spec, self.card, symmetry=symmetry, pace=self.pace,
             goal=self._wanted["goal_quaternion"],
             angular_velocity=self._wanted["goal_angular_velocity"],
         )  # fmt: skip
@@ -312,7 +329,8 @@ class Policy(Controller):
             image = self.symmetry.inverse.of_state(seen)
             action = self.symmetry.of_joints(self.predict(self._seen(image)))
         self._diagnostics = {"action": action}
-        return check_action(self.action.limited(state, self.action.to_change(action)))
+        change = self.pace * self.action.to_change(action)
+        return check_action(self.action.limited(state, change))
 
 
 def _trained_axis(
