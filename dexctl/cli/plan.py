@@ -21,6 +21,7 @@ from dexctl.cli.parsing import Switch
 from dexctl.cli.plan_states import Sample, States
 from dexctl.cli.trials import check_viz
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
+from dexctl.locking import locked
 from dexctl.planning import (
     Bounds,
     ControllerMacros,
@@ -112,15 +113,15 @@ class Plan:
         check_used(self.scene)
         until, seconds = self._ends()
         (scene,) = self.scene.scenes()
-        with new_folder(self.out) as folder:
+        with new_folder(self.out) as folder, locked(folder):
             tree = self._grown(scene, expansion, axis, folder / TREE, until, seconds)
-        found = describe(tree)
-        if not tree.header.physics_steps and len(tree) > 1:
-            found["holds"] = self._held(scene, tree)
-        away = self.goals.away(tree.nodes.object_quaternion)
-        if len(away):
-            found["goal_away_rad"] = away.tolist()
-        self._write(found)
+            found = describe(tree)
+            if not tree.header.physics_steps and len(tree) > 1:
+                found["holds"] = self._held(scene, tree)
+            away = self.goals.away(tree.nodes.object_quaternion)
+            if len(away):
+                found["goal_away_rad"] = away.tolist()
+            self._write(found)
         if self.json:
             print_json(found)
         else:

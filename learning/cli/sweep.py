@@ -18,6 +18,7 @@ from dexctl.cli.output import notes, print_json, results, to_json
 from dexctl.cli.output import table as without_lines
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput, MissingExtra
+from dexctl.locking import locked
 
 if TYPE_CHECKING:
     from learning.sweep.cluster import RayPool
@@ -57,7 +58,6 @@ class Sweep:
         if not self.report_only and not find_spec("torch"):
             raise MissingExtra("dexctl sweep", "learning")
         from learning.sweep.run import check, prepare, reopen, run_all
-        from learning.training.run_folder import locked
 
         given = self.config.expanduser()
         if given.is_dir():

@@ -167,9 +167,8 @@ class Policy(Controller):
             tell; for policies that can be told.
         symmetry: of the hand; the policy acts as in this image of the hand, so that one for z turns
             about -z. None: as it was trained.
-        pace: share, above 0 and at most 1, of every set-point change that is made. Contacts, not
-            momentum, decide what a slow hand does, so the policy does what it did in more time, and
-            drops less.
+        pace: share, above 0 and at most 1, of every set-point change that is made. Where contacts,
+            not momentum, decide what the hand does, the policy then does what it did in more time.
 
     Attributes:
         spec, card, symmetry, pace: as given.

@@ -9,12 +9,10 @@ writing beside them.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
 import os
 import re
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from dexctl.exceptions import InvalidInput
 from dexctl.files import write_text
 from dexctl.hands.identity import identity
+from dexctl.locking import locked
 from learning.training import checkpoint
 from learning.training.checkpoint import CheckpointError
 from learning.training.log import read_rows
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from dexctl.hand import HandModel
     from learning.config import TrainConfig
 
-_LOCK = ".lock"
 _EARLIER_CHECKPOINT = "checkpoint.pt"
 _PART = re.compile(r"\..+\.(\d+)\.part(\.[^.]+)?")
 """Names that `dexctl.files.aside` writes to, with the number of the process."""
@@ -209,43 +207,6 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InvalidInput(f"cannot make the folder {self.path}: {error.strerror}") from None
-
-
-_HERE: set[Path] = set()  # folders that this process holds
-
-
-@contextmanager
-def locked(folder: Path, wait: float = 0.0) -> Iterator[None]:
-    """Hold any ``folder`` in this block; the system takes the lock back when its holder is gone.
-
-    What this process holds already it may hold once more: a sweep's worker, and the training in it.
-
-    Args:
-        folder: where the lock is.
-        wait: for whom holds it to let go [s].
-
-    Raises:
-        InvalidInput: another process holds it.
-    """
-    place = folder.resolve()
-    if place in _HERE:
-        yield
-        return
-    deadline = time.monotonic() + wait
-    with (folder / _LOCK).open("a") as file:
-        while True:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() >= deadline:
-                    raise InvalidInput(f"another process is at work in {folder}") from None
-            time.sleep(0.1)
-        _HERE.add(place)
-        try:
-            yield
-        finally:
-            _HERE.discard(place)
 
 
 def _alive(process: int) -> bool:

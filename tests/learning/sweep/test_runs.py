@@ -19,6 +19,7 @@ from dexctl import hands
 from dexctl.cli.parsing import parse
 from dexctl.cluster import ClusterError
 from dexctl.exceptions import InvalidInput
+from dexctl.locking import locked
 from learning.cli.sweep import Sweep
 from learning.policies import load
 from learning.sweep.cluster import RayPool, run_here
@@ -26,7 +27,7 @@ from learning.sweep.jobs import Job, jobs, outcome
 from learning.sweep.process import LocalPool
 from learning.sweep.reading import load_sweep, parse_sweep
 from learning.sweep.worker import do
-from learning.training.run_folder import RunFolder, locked
+from learning.training.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[3]
 TEXT = """
