@@ -94,10 +94,10 @@ RUNS: dict[str, list[str]] = {
 
 LONGER = {  # than five seconds of processor, however little they are asked for
     "ablation.py", "algorithms.py", "commanded_speed.py", "compiled_or_plain.py", "conditions.py",
-    "feedback.py", "feedback_x.py", "goal_policies.py", "hands.py", "hands_learned.py",
+    "feedback.py", "feedback_x.py", "gaits.py", "goal_policies.py", "hands.py", "hands_learned.py",
     "hands_turning.py", "hardware_grasp.py", "hardware_loop.py", "learner.py",
     "learning_ablation.py", "planning.py", "predictive_sampling.py", "ranges.py",
-    "reorientation.py", "robustness.py", "servo_hand.py", "starts.py", "touch.py",
+    "reach.py", "reorientation.py", "robustness.py", "servo_hand.py", "starts.py", "touch.py",
 }  # fmt: skip
 
 FIRST_SEEDS = {  # of those that do not begin with 0
