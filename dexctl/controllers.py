@@ -268,13 +268,23 @@ def keeps_period(name: str) -> bool:
     return not found.module.startswith("dexctl.")
 
 
-def paced(name: str) -> tuple[str, float]:
+def paced(name: str, folder: Path | None = None) -> tuple[str, float]:
     """A policy's name, file or folder without the pace behind it, and the pace; 1 without one.
 
     It may be out of range: who makes the policy says so.
+
+    Args:
+        name: the word; what is there by all of it, a folder ``run@1``, has no pace.
+        folder: where it is meant from; None: the current one.
     """
     plain, _, pace = name.rpartition("@")
-    return (plain, float(pace)) if plain and _PACE.fullmatch(pace) else (name, 1.0)
+    if not plain or not _PACE.fullmatch(pace) or _place(name, folder).exists():
+        return name, 1.0
+    return plain, float(pace)
+
+
+def _place(name: str, folder: Path | None) -> Path:
+    return (folder or Path()) / Path(name).expanduser()
 
 
 def is_policy_file(name: str, folder: Path | None = None) -> bool:
@@ -284,8 +294,8 @@ def is_policy_file(name: str, folder: Path | None = None) -> bool:
         name: the word, with a pace or without.
         folder: where it is meant from; None: the current one.
     """
-    plain = paced(name)[0]
-    return plain.endswith(".npz") or ((folder or Path()) / Path(plain).expanduser()).is_dir()
+    plain = paced(name, folder)[0]
+    return plain.endswith(".npz") or _place(plain, folder).is_dir()
 
 
 def absolute(name: str, folder: Path) -> str:
@@ -295,10 +305,10 @@ def absolute(name: str, folder: Path) -> str:
     """
 
     def place(file: str) -> str:
-        return str((folder / Path(file).expanduser()).resolve())
+        return str(_place(file, folder).resolve())
 
     if not is_named(name):
-        plain = paced(name)[0]
+        plain = paced(name, folder)[0]
         return place(plain) + name[len(plain) :] if is_policy_file(name, folder) else name
     found, (plain, after) = entry(name), _split(name)
     if not after:
@@ -418,13 +428,19 @@ def resolve(
     is_file = is_policy_file(name)
     if ":" in name and not is_file:
         return _called(name, hand, {"control_period": control_period, "axis": axis})
+    plain, pace = paced(name)
+    if plain not in (name, POLICIES) and is_named(plain):
+        raise InvalidInput(
+            f"controller is {name!r}; expected {plain!r}: only policies have a pace, controllers "
+            "have settings"
+        )
     if POLICIES not in names():
-        if is_file or name == POLICIES:
+        if is_file or plain == POLICIES:
             raise InvalidInput(f"{name}: policies need dexctl to be installed (pip install)")
         raise UnknownName("controller", name, (*names(), _FUNCTION))
-    policy = None if name == POLICIES else name
+    which = {"policy": None, "pace": pace} if plain == POLICIES else {"policy": name}
     try:
-        return make(POLICIES, hand, control_period=control_period, axis=axis, policy=policy)
+        return make(POLICIES, hand, control_period=control_period, axis=axis, **which)
     except UnknownName as error:
         if error.kind != "policy":
             raise

@@ -96,6 +96,11 @@ class TrainConfig:
         for name in self.controllers:
             self._check_guide(Guiding.of(name))
         check_controllers(self.guidance.method, self.controllers)
+        if controllers.paced(str(self.begin_from))[0] != str(self.begin_from):
+            raise InvalidInput(
+                f"begin_from is {self.begin_from}; networks have no pace: "
+                "expected it without a pace"
+            )
         check_whole(
             self,
             steps=1,
@@ -149,7 +154,8 @@ class TrainConfig:
         if plain != name:
             policies.check_pace(pace)
         is_file = is_path(plain) or controllers.is_policy_file(name)
-        if not (controllers.is_named(name) or is_file or plain in policies.names()):
+        known = (controllers.POLICIES, *policies.names())
+        if not (controllers.is_named(name) or is_file or plain in known):
             raise UnknownName("controller", name, (*controllers.names(), *policies.names()))
 
     def _check_dagger(self) -> None:

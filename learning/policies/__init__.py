@@ -94,6 +94,7 @@ def learned(
     control_period: float | None = None,
     policy: str | Path | None = None,
     axis: ArrayLike | None = None,
+    pace: float | None = None,
 ) -> Policy:
     """The controller of the name "learned": a policy that was trained on ``hand``.
 
@@ -103,7 +104,7 @@ def learned(
         policy: what `load` takes; None is the first of `names` that was trained on a hand of this
             name: one for several objects before those for single ones, and among these the one for
             the object that the hand's toml names.
-        axis: see `load`.
+        axis, pace: see `load`.
 
     Raises:
         UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.
@@ -119,7 +120,7 @@ def learned(
         suits = f"-{hand.config.object.shape}"
         own.sort(key=lambda name: (not name.endswith("-easy"), not name.endswith(suits)))
         policy = own[0]
-    found = load(policy, hand=hand, axis=axis)
+    found = load(policy, hand=hand, axis=axis, pace=pace)
     if control_period is not None and not np.isclose(control_period, found.control_period):
         raise InvalidInput(
             f"control_period is {control_period}; the policy {str(policy)!r} was trained with "

@@ -230,10 +230,6 @@ class Trainer:
                 self.algorithm.begin_as(saved["algorithm"])
             else:
                 policy = policies.load(str(begun), hand=self.env.hand)
-                if policy.pace != 1.0:
-                    raise InvalidInput(
-                        "networks have no pace of their own; expected it without one"
-                    )
                 policy.spec.check_like(policy_spec(self.algorithm, self.env, self.config))
                 self.algorithm.begin_with([(layer.weight, layer.bias) for layer in policy.layers])
         except (DexctlError, KeyError) as error:

@@ -47,7 +47,7 @@ def test_what_runs_a_policy_needs_no_torch() -> None:
 
 
 def test_brings_a_few_small_modules_beside_what_it_stands_on() -> None:
-    """A sixth more modules, 1.15 times the time. A count does not vary with the machine's load."""
+    """A sixth more modules: 40 for 233. A count does not vary with the machine's load."""
     new = json.loads(
         python(
             "import sys, json, numpy, scipy, pinocchio; before = set(sys.modules); import dexctl; "
@@ -59,19 +59,13 @@ def test_brings_a_few_small_modules_beside_what_it_stands_on() -> None:
     assert len(new) <= 60
 
 
-def test_costs_less_than_what_it_stands_on_once_more() -> None:
-    def cost(modules: str) -> float:
-        # processor time, because other processes must count as little as they can
-        code = f"from time import process_time as t; a = t(); import {modules}; print(t() - a)"
-        return float(python(code))
-
-    plain, ours = [], []
-    for _ in range(20):
-        plain.append(cost("numpy, scipy, pinocchio"))
-        ours.append(cost("dexctl"))
-        if len(ours) >= 3 and min(ours) <= 2 * min(plain):
-            break
-    assert min(ours) <= 2 * min(plain), f"{min(ours):.3f} s against {min(plain):.3f} s"
+def test_costs_at_most_half_more_than_what_it_stands_on() -> None:
+    """About a quarter. Both are timed in one process, which others slow alike."""
+    code = (
+        "from time import process_time as t; a = t(); import numpy, scipy, pinocchio; b = t(); "
+        "import dexctl; print((t() - b) / (b - a))"
+    )
+    assert min(float(python(code)) for _ in range(5)) <= 0.5
 
 
 STEPS = """

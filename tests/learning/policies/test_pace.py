@@ -66,6 +66,9 @@ def test_behind_a_name_a_file_and_a_folder(dex5: dexctl.HandModel, tmp_path: Pat
             assert isinstance(made, Policy)
             assert made.pace == pace == policies.load(name + behind).pace
     assert policies.load(f"{NAME}@0.8", pace=0.6).pace == 0.6  # what is said last
+    made = controllers.resolve("learned@0.4", dex5)
+    assert isinstance(made, Policy)
+    assert made.pace == 0.4
     made = controllers.resolve(f"steered:{NAME}@0.3", dex5)
     assert made.turner.pace == 0.3  # type: ignore[attr-defined]
 
@@ -82,6 +85,7 @@ def test_it_is_a_subject_like_another(dex5: dexctl.HandModel) -> None:
 def test_it_guides_and_its_file_is_found_from_anywhere(tmp_path: Path) -> None:
     config = changed(TrainConfig(), {"controllers": (f"{NAME}@0.8",)})
     assert config.controllers == (f"{NAME}@0.8",)
+    changed(TrainConfig(), {"controllers": ("learned@0.8",)})
     file = controllers.absolute("a/policy.npz@0.8", tmp_path)
     assert file == f"{tmp_path / 'a' / 'policy.npz'}@0.8"
     assert controllers.absolute(f"steered:{NAME}@0.8", tmp_path) == f"steered:{NAME}@0.8"
@@ -101,6 +105,21 @@ def test_what_is_no_pace_behind_a_name(behind: str) -> None:
         policies.load(NAME + behind)
     with pytest.raises(InvalidInput, match=rf"pace is {number}; expected a number above 0"):
         changed(TrainConfig(), {"controllers": (NAME + behind,)})
+
+
+def test_a_folder_that_is_there_is_meant_whatever_it_is_called(tmp_path: Path) -> None:
+    run = tmp_path / "run@1"
+    run.mkdir()
+    shutil.copy(policies.FOLDER / f"{NAME}.npz", run / "policy.npz")
+    assert policies.load(run).pace == 1.0
+    assert policies.load(f"{run}@0.5").pace == 0.5
+    assert controllers.absolute("run@1", tmp_path) == str(run)
+    assert controllers.absolute("run@1@0.5", tmp_path) == f"{run}@0.5"
+
+
+def test_controllers_have_settings_and_no_pace(dex5: dexctl.HandModel) -> None:
+    with pytest.raises(InvalidInput, match="^controller is 'igm@0.5'; expected 'igm': only"):
+        controllers.resolve("igm@0.5", dex5)
 
 
 def test_a_guide_that_nobody_has() -> None:

@@ -423,11 +423,10 @@ def test_ppo_may_begin_with_a_policy(tmp_path: Path, small: Make) -> None:
     trainer.close()
 
 
-def test_networks_to_begin_with_have_no_pace(tmp_path: Path, small: Make) -> None:
-    slow = policies.FOLDER / "dex5-cylinder.npz@0.8"
-    config = small(method="rl", begin_from=slow, scaled=True, sac__actor_starts=10_000)
-    with pytest.raises(InvalidInput, match="begin_from is .*@0.8: networks have no pace"):
-        train(config, tmp_path / "second")
+@pytest.mark.parametrize("slow", ["dex5-cylinder@0.8", "runs/mine@0.8", "mine.npz@.5"])
+def test_networks_to_begin_with_have_no_pace(slow: str, small: Make) -> None:
+    with pytest.raises(InvalidInput, match=f"begin_from is {slow}; .* expected .* without a pace"):
+        small(method="rl", begin_from=Path(slow))
 
 
 def test_a_policy_to_begin_with_keeps_its_name_and_a_run_is_absolute(tmp_path: Path) -> None:
