@@ -35,6 +35,7 @@ HEADINGS = {
     "reorientation": "Goal orientations and commanded axes",
     "goal_policies": "Policies for goals",
     "learner": "Training throughput",
+    "devices": "Training on a GPU",
     "algorithms": "Algorithms and their peers",
     "hardware_grasp": "Simulator and servo bus",
     "servo_hand": "The emulated servo hand",

@@ -26,7 +26,13 @@ from learning.algorithms.losses import (
     squared_cloning,
     value_loss,
 )
-from learning.algorithms.networks import layers, numbers, restore, take_layers
+from learning.algorithms.networks import (
+    layers,
+    numbers,
+    restore,
+    restore_random,
+    take_layers,
+)
 from learning.algorithms.normalisation import Normalisation
 from learning.algorithms.perceptrons import Perceptrons
 from learning.algorithms.rollout_buffer import RolloutBuffer, advantages
@@ -287,4 +293,4 @@ class PPO(Algorithm):
         with torch.no_grad():
             self.log_std.copy_(saved["log_std"])
         self.optimizer.load_state_dict(deepcopy(saved["optimizer"]))
-        self._random.set_state(saved["random"])
+        restore_random(self._random, saved["random"])

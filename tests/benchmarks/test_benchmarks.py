@@ -44,6 +44,10 @@ RUNS: dict[str, list[str]] = {
     "learner.py": [
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
     ],
+    "devices.py": [
+        *("--algorithms", "dagger", "--devices", "cpu", "--environments", "64"),
+        *("--seconds", "0.1"),
+    ],
     "learned.py": [*SHORT, "--objects", "cylinder", "sphere"],
     "learning_ablation.py": [
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
@@ -94,8 +98,8 @@ RUNS: dict[str, list[str]] = {
 
 LONGER = {  # than five seconds of processor, however little they are asked for
     "ablation.py", "algorithms.py", "commanded_speed.py", "compiled_or_plain.py", "conditions.py",
-    "feedback.py", "feedback_x.py", "gaits.py", "goal_policies.py", "hands.py", "hands_learned.py",
-    "hands_turning.py", "hardware_grasp.py", "hardware_loop.py", "learner.py",
+    "devices.py", "feedback.py", "feedback_x.py", "gaits.py", "goal_policies.py", "hands.py",
+    "hands_learned.py", "hands_turning.py", "hardware_grasp.py", "hardware_loop.py", "learner.py",
     "learning_ablation.py", "planning.py", "predictive_sampling.py", "ranges.py",
     "reach.py", "reorientation.py", "robustness.py", "servo_hand.py", "starts.py", "touch.py",
 }  # fmt: skip
@@ -138,7 +142,7 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     if script in (
         "learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py",
-        "goal_policies.py", "feedback.py", "feedback_x.py", "commanded_speed.py",
+        "devices.py", "goal_policies.py", "feedback.py", "feedback_x.py", "commanded_speed.py",
     ):  # fmt: skip
         pytest.importorskip("torch", reason="needs the extra 'learning'")
     if script in ("learner.py", "algorithms.py"):

@@ -113,6 +113,24 @@ def test_a_killed_run_continues_to_the_same_bits(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CONFIGS)
+def test_a_run_of_another_device_goes_on(name: str) -> None:
+    # a processor's generator has 5056 bytes, a GPU's 16, and neither takes those of the other
+    agent, task = build(name), Contextual()
+    for _ in range(21):
+        task.turn(agent)
+    saved = deepcopy(agent.state_dict())
+    saved["random"] = torch.arange(16, dtype=torch.uint8)
+    drawn = []
+    for seed in (5, 6):
+        again = build(name, seed=seed)
+        again.load_state_dict(deepcopy(saved))
+        drawn.append(again.act(task.observation))
+        deepcopy(task).turn(again)
+        assert again.updates >= agent.updates and not again.diverged
+    assert (drawn[0] == drawn[1]).all()  # the checkpoint decides, not the seed of the new one
+
+
+@pytest.mark.parametrize("name", CONFIGS)
 def test_what_is_saved_is_plain(name: str) -> None:
     agent, task = build(name), Contextual()
     for _ in range(10):
