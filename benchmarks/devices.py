@@ -20,15 +20,16 @@ from common import Figure, Settings, check_chosen, progress, settings, write
 from dexctl.exceptions import InvalidInput
 from dexctl.report.machine import usable_cores
 from dexctl.settings import changed
+from dexctl.validation import check_numbers
 from learning.config import TrainConfig, recipe
 from learning.training.run_folder import RunFolder
 from learning.training.trainer import Trainer
 
-# name: recipe, what else is set, and updates for each environment and step
-TRAINED: dict[str, tuple[str, dict[str, Any], float]] = {
-    "sac": ("fast", {"controllers": ("coordinated",)}, 2 / 128),
-    "dagger": ("distil", {"controllers": ("dex5-cylinder",)}, 2 / 128),
-    "ppo": ("fast", {"algorithm": "ppo", "method": "rl"}, 0.0),
+# name: recipe, and what else is set
+TRAINED: dict[str, tuple[str, dict[str, Any]]] = {
+    "sac": ("fast", {"controllers": ("coordinated",)}),
+    "dagger": ("distil", {"controllers": ("dex5-cylinder",)}),
+    "ppo": ("fast", {"algorithm": "ppo", "method": "rl"}),
 }
 DEVICES = {"cpu": "one core", "cuda": "a GPU"}
 
@@ -48,13 +49,15 @@ class Options(Settings):
 
 
 def training(name: str, environments: int, device: str, given: Options) -> TrainConfig:
-    """What is measured."""
-    which, settings, updates = TRAINED[name]
-    config = changed(recipe(which), {"object": "cylinder", "seed": given.seed, **settings})
-    config = changed(config, {"num_envs": environments, "device": device, "steps": 10**9})
-    if updates:
-        config = changed(config, {f"{name}.gradient_steps": round(updates * environments)})
-    return config
+    """What is measured: the recipe with more environments, and as many more updates."""
+    which, settings = TRAINED[name]
+    usual = changed(recipe(which), {"object": "cylinder", "seed": given.seed, **settings})
+    config = changed(usual, {"num_envs": environments, "device": device, "steps": 10**9})
+    updates = getattr(getattr(usual, name), "gradient_steps", None)
+    if updates is None:  # PPO's grow with what it has gathered
+        return config
+    updates = max(1, round(updates * environments / usual.num_envs))
+    return changed(config, {f"{name}.gradient_steps": updates})
 
 
 def measure(config: TrainConfig, seconds: float) -> dict[str, float]:
@@ -79,6 +82,7 @@ def measure(config: TrainConfig, seconds: float) -> dict[str, float]:
 
 def main() -> None:
     given = settings(Options, __doc__)
+    check_numbers(given, positive=("seconds",))
     check_chosen("algorithm", given.algorithms, TRAINED)
     check_chosen("device", given.devices, DEVICES)
     if "cuda" in given.devices and not torch.cuda.is_available():

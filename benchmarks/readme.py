@@ -126,7 +126,7 @@ def _measured_on(results: Iterable[dict[str, Any]]) -> str:
     machines = dict.fromkeys(_machine(result["machine"]) for result in results)
     return (
         f"Measured on {'; '.join(machines)}. `make bench` measures all of it again, but for tables "
-        "that name another command."
+        "that name another command and training on a GPU."
     )
 
 

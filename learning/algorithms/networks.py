@@ -1,10 +1,9 @@
-"""What the algorithms make of perceptrons: squashed actions, layers of a file, saved states."""
+"""What the algorithms make of perceptrons: squashed actions, layers of a file, saved weights."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
-from zlib import crc32
 
 import torch
 from torch.nn import functional
@@ -92,16 +91,3 @@ def restore(networks: Mapping[str, Perceptrons], saved: Mapping[str, Any]) -> No
     with torch.no_grad():
         for name, net in networks.items():
             net.flat.copy_(saved[name]["flat"])
-
-
-def restore_random(random: torch.Generator, saved: torch.Tensor) -> None:
-    """Give a generator the state that ``get_state`` gave.
-
-    Processors and GPUs draw from different generators, so one cannot go on with the state of the
-    other: where a run changes its device it draws other numbers from there on, the same ones
-    whenever it is resumed from the same checkpoint.
-    """
-    if saved.shape == random.get_state().shape:
-        random.set_state(saved)
-    else:
-        random.manual_seed(crc32(saved.numpy().tobytes()))

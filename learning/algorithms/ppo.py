@@ -18,6 +18,7 @@ from learning.algorithms.base import (
     columns,
 )
 from learning.algorithms.config import PPOConfig
+from learning.algorithms.generators import restore_generator
 from learning.algorithms.losses import (
     adapted_rate,
     clipped_policy_loss,
@@ -26,13 +27,7 @@ from learning.algorithms.losses import (
     squared_cloning,
     value_loss,
 )
-from learning.algorithms.networks import (
-    layers,
-    numbers,
-    restore,
-    restore_random,
-    take_layers,
-)
+from learning.algorithms.networks import layers, numbers, restore, take_layers
 from learning.algorithms.normalisation import Normalisation
 from learning.algorithms.perceptrons import Perceptrons
 from learning.algorithms.rollout_buffer import RolloutBuffer, advantages
@@ -293,4 +288,4 @@ class PPO(Algorithm):
         with torch.no_grad():
             self.log_std.copy_(saved["log_std"])
         self.optimizer.load_state_dict(deepcopy(saved["optimizer"]))
-        restore_random(self._random, saved["random"])
+        restore_generator(self._random, saved["random"])

@@ -11,13 +11,8 @@ import numpy as np
 import torch
 
 from learning.algorithms.base import Algorithm, Layers, columns
-from learning.algorithms.networks import (
-    layers,
-    numbers,
-    restore,
-    restore_random,
-    take_layers,
-)
+from learning.algorithms.generators import restore_generator
+from learning.algorithms.networks import layers, numbers, restore, take_layers
 from learning.algorithms.perceptrons import Perceptrons
 
 
@@ -148,4 +143,4 @@ class Remembering(Algorithm):
         restore(self.networks, saved["networks"])
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(deepcopy(saved["optimizers"][name]))
-        restore_random(self._random, saved["random"])
+        restore_generator(self._random, saved["random"])

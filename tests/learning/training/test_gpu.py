@@ -59,7 +59,7 @@ def test_the_other_device_goes_on(
     assert any((a != b).any() for a, b in zip(before, weights(tmp_path / "run"), strict=True))
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", ["sac", "td3", "dagger"])
 def test_it_computes_what_a_processor_does(name: str) -> None:
     sizes: dict[str, Any] = {
         "groups": {"policy": slice(0, 6), "critic": slice(0, 8)}, "observation_size": 8,
