@@ -91,18 +91,28 @@ class RunFolder:
         Raises:
             InvalidInput: the hand's files are others than when the run began.
         """
-        if not self.hand_path.exists():
+        before = self.hand_digest()
+        if before is None:
             write_text(self.hand_path, json.dumps(identity(hand), indent=2) + "\n")
             return
-        try:
-            before = json.loads(self.hand_path.read_text(encoding="utf-8"))["sha256"]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InvalidInput(f"cannot read {self.hand_path}: {error}") from None
         if before != hand.digest:
             raise InvalidInput(
                 f"the files of the hand {hand.name} have changed since the run began (sha256 was "
                 f"{before[:12]}, is {hand.digest[:12]}); put them back, or begin anew"
             )
+
+    def hand_digest(self) -> str | None:
+        """The sha256 of the hand's files when the run began; None where it is not kept.
+
+        Raises:
+            InvalidInput: it cannot be read.
+        """
+        try:
+            return str(json.loads(self.hand_path.read_text(encoding="utf-8"))["sha256"])
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InvalidInput(f"cannot read {self.hand_path}: {error}") from None
 
     def config(self) -> TrainConfig:
         """The configuration of the run.

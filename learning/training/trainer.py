@@ -246,9 +246,8 @@ class Trainer:
         other = RunFolder(begun)
         if (
             other.starts_path.exists()
-            and other.hand_path.exists()  # folders of earlier versions do not say
             and planned_alike(self.config, other.config())
-            and other.hand_path.read_bytes() == self.folder.hand_path.read_bytes()
+            and other.hand_digest() == self.env.hand.digest  # folders of earlier versions: None
         ):
             GraspStates.load(other.starts_path).save(self.folder.starts_path)
             self._remark(f"{self.config.starts.start_from} to start from are those of {begun}")

@@ -245,6 +245,8 @@ def test_a_run_that_begins_with_another_takes_what_was_planned_for_it(
     first, second = RunFolder(tmp_path / "first"), RunFolder(tmp_path / "second")
     plans = {"start_from": "grasps", "start_count": 5, "start_seconds": 20, "method": "rl"}
     train(small(**plans, steps=8), first.path)
+    kept = json.loads(first.hand_path.read_text())
+    first.hand_path.write_text(json.dumps(kept | {"toml": "elsewhere/dex5.toml"}))  # as copied
     said: list[str] = []
     config = small(**{**plans, "steps": 8, "begin_from": first.path, **changes})
     trainer = Trainer(config, second, remark=said.append)
@@ -263,6 +265,8 @@ def test_a_run_that_begins_with_another_takes_what_was_planned_for_it(
             trainer.take_starts()
         assert not second.starts_path.exists()
         first.starts_path.write_bytes(whole)
+        first.hand_path.write_text(json.dumps(kept | {"sha256": "another"}))
+        trainer.take_starts()
         first.hand_path.unlink()  # as in folders of earlier versions: it may be another hand
         trainer.take_starts()
         assert not second.starts_path.exists()
