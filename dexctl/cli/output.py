@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterable, Mapping
+from types import TracebackType
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+
+from dexctl.exceptions import DexctlError
 
 
 def notes() -> Console:
@@ -60,9 +63,25 @@ def facts(rows: Iterable[tuple[str, str]]) -> Table:
     return made
 
 
+class Bar(Progress):
+    """A progress bar that is gone after a DexctlError: what went wrong stands alone."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if kind is not None and issubclass(kind, DexctlError):
+            self.live.transient = True
+            self.live.stop()  # without the empty line that a pipe gets after a bar
+        else:
+            super().__exit__(kind, error, traceback)
+
+
 def progress(console: Console) -> Progress:
     """A progress bar with what it is about, the part done and the time left."""
-    return Progress(
+    return Bar(
         TextColumn("{task.description:<34}", markup=False),
         BarColumn(bar_width=28),
         TextColumn("{task.percentage:>4.0f} %"),

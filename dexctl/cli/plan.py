@@ -12,15 +12,14 @@ import numpy as np
 import tyro
 from rich.console import RenderableType
 from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
 from rich.text import Text
 
 from dexctl.cli.checks import check_count, make_folder, new_folder
-from dexctl.cli.output import notes, print_json, progress, results, table, to_json
+from dexctl.cli.output import Bar, notes, print_json, progress, results, table, to_json
 from dexctl.cli.parsing import Switch
 from dexctl.cli.plan_states import Sample, States
 from dexctl.cli.trials import check_viz
-from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
+from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.locking import locked
 from dexctl.planning import (
     Bounds,
@@ -389,12 +388,8 @@ class _Bar:
         self._bar.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and issubclass(kind, DexctlError):
-            self._bar.live.transient = True  # what went wrong stands alone
-            self._bar.live.stop()
-        else:
-            self._bar.stop()
+    def __exit__(self, *error: Any) -> None:
+        self._bar.__exit__(*error)
 
     def __call__(self, now: Progress) -> None:
         nodes, seconds, until = self._ends

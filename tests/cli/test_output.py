@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from dexctl.cli.output import facts, notes, progress, results, table
+from dexctl.exceptions import InvalidInput
 
 ODD = "[servos] of hand[0].toml, [/x], [bold] and :warning:"
 ROOMS = Path(__file__).resolve().parents[2]
@@ -38,3 +39,23 @@ def test_nobody_writes_markup() -> None:
         if mark in path.read_text(encoding="utf-8")
     ]
     assert found == []
+
+
+@pytest.mark.parametrize("wide", [False, True], ids=["pipe", "terminal"])
+def test_a_bar_is_gone_after_what_went_wrong(
+    wide: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It stayed above the message of `dexctl plan sample`."""
+    if wide:
+        monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    console = notes()
+    assert console.is_terminal == wide
+    with pytest.raises(InvalidInput), progress(console) as bar:
+        bar.add_task("grasps")
+        raise InvalidInput("no grasp was found")
+    said = capsys.readouterr().err
+    assert said.endswith("\x1b[1A\x1b[2K") if wide else said == ""
+    with pytest.raises(KeyboardInterrupt), progress(console) as bar:
+        bar.add_task("grasps")
+        raise KeyboardInterrupt
+    assert "grasps" in capsys.readouterr().err

@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LINE = "#0072b2"
+_LAST = (
+    ("critic_loss", "", "Critic loss"),
+    ("q_mean", "", "Mean value of the policy's actions"),
+    ("bc_loss", "", "Cloning loss"),
+    ("held", "share", "The policy's own episodes that would hold"),
+)
 
 
 def guide_title(name: str) -> str:
@@ -81,13 +87,15 @@ def learning_figure(log: TrainingLog) -> Figure:
     figure = new_figure(WIDTH, 6.2)
     panels = figure.subplots(3, 2, sharex=True)
     steps = _millions(log)
+    last = [one for one in _LAST if log.has(one[0])]
+    (left, right) = (last if len(last) > 1 else _LAST)[:2]  # what there is depends on the algorithm
     for axes, name, label, title in (
         (panels[0, 0], "return", "[rad/s]", "Return of an episode"),
         (panels[0, 1], "rotation", "[rad]", "Rotation in an episode"),
         (panels[1, 0], "dropped", "share", "Episodes that ended with a drop"),
         (panels[1, 1], "length", "[control steps]", "Length of an episode"),
-        (panels[2, 0], "critic_loss", "", "Critic loss"),
-        (panels[2, 1], "q_mean", "", "Mean value of the policy's actions"),
+        (panels[2, 0], *left),
+        (panels[2, 1], *right),
     ):
         if log.has(name):
             values = log.columns[name]
@@ -99,9 +107,10 @@ def learning_figure(log: TrainingLog) -> Figure:
         axes.set(ylabel=label)
         axes.set_title(title)
     panels[1, 0].set_ylim(0, 1.02)
-    if log.has("critic_loss") and np.nanmin(log.columns["critic_loss"]) > 0:
+    if left[0] == "critic_loss" and log.has(left[0]) and np.nanmin(log.columns[left[0]]) > 0:
         panels[2, 0].set_yscale("log")
-    if log.has("bc_loss") and np.nanmax(np.abs(log.columns["bc_loss"])) > 0:
+    cloned = left[0] != "bc_loss" and log.has("bc_loss")
+    if cloned and np.nanmax(np.abs(log.columns["bc_loss"])) > 0:
         cloning = panels[2, 1].twinx()
         cloning.plot(steps, log.columns["bc_loss"], color="#d55e00", lw=1.0, ls="--")
         cloning.set_ylabel("cloning loss (dashed)", color="#d55e00")

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from dexctl.exceptions import InvalidInput
+from learning.config import TrainConfig
 from learning.inspection import action_angle, gait_statistics
 from learning.inspection.gait import runs, steady
-from learning.inspection.report.training_plots import guide_title
+from learning.inspection.report.training_plots import guide_title, learning_figure
 from learning.inspection.rollout import _sum_of_last
+from learning.inspection.training import TrainingLog
+from learning.training.log import COLUMNS
 
 
 def test_angles_by_hand() -> None:
@@ -107,3 +110,29 @@ def test_fingers_without_order_have_no_regular_phase() -> None:
 def test_a_guide_is_told_with_its_objects() -> None:
     assert guide_title("cube,sphere=igm") == "cube, sphere: in-grasp manipulation"
     assert guide_title("coordinated") == "coordinated gait"
+
+
+@pytest.mark.parametrize(
+    ("kept", "titles"),
+    [
+        (("critic_loss", "q_mean", "held"), ("Critic loss", "Mean value of the policy's actions")),
+        (("critic_loss", "q_mean", "bc_loss"), ("Critic loss", "Mean value of the policy's actions")),
+        (("critic_loss", "held"), ("Critic loss", "The policy's own episodes that would hold")),
+        (("bc_loss", "held"), ("Cloning loss", "The policy's own episodes that would hold")),
+        ((), ("Critic loss", "Mean value of the policy's actions")),
+    ],
+    ids=["sac", "sac cloned", "ppo", "dagger", "nothing yet"],
+)  # fmt: skip
+def test_the_last_panels_are_of_what_an_algorithm_has(
+    kept: tuple[str, ...], titles: tuple[str, ...]
+) -> None:
+    """Those of a distilled policy were two empty ones about critics."""
+    names = ("return", "rotation", "dropped", "length", *COLUMNS)
+    empty = {name: np.full(3, np.nan) for name in names}
+    log = TrainingLog(
+        empty | {name: np.array([0.9, 0.5, 0.7]) for name in ("step", *kept)}, TrainConfig()
+    )
+    panels = learning_figure(log).axes
+    assert tuple(one.get_title() for one in panels[4:6]) == titles
+    assert [len(one.lines) for one in panels[4:6]] == ([1, 1] if kept else [0, 0])
+    assert len(panels) == (7 if "bc_loss" in kept and "q_mean" in kept else 6)
