@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -154,6 +155,9 @@ class GraspStates:
     def concatenate(cls, parts: Sequence[GraspStates]) -> GraspStates:
         """All of ``parts``, of one hand, one after the other; weights count as they are.
 
+        Where parts come from different places, ``meta`` has ``parts``: of each how many ``states``
+        and its ``meta``.
+
         Raises:
             InvalidInput: none, or of different hands.
         """
@@ -178,7 +182,7 @@ class GraspStates:
             joint_names=first.joint_names,
             weight=None if all(p.weight is None for p in parts) else np.concatenate(weights),
             parent=None if all(p.parent is None for p in parts) else np.concatenate(parents),
-            meta=first.meta if all(one.meta == first.meta for one in parts) else "",
+            meta=first.meta if all(one.meta == first.meta for one in parts) else _metas(parts),
             **{name: np.concatenate([getattr(one, name) for one in parts]) for name in _ROWS},
         )
 
@@ -207,6 +211,18 @@ class GraspStates:
             return cls(**values)
         except InvalidInput as error:
             raise InvalidInput(f"{what}: {error}") from None
+
+
+def _metas(parts: Sequence[GraspStates]) -> str:
+    """What `GraspStates.concatenate` says of where its parts are from."""
+    found = []
+    for one in parts:
+        try:
+            meta = json.loads(one.meta)
+        except ValueError:  # whoever made them wrote what they liked
+            meta = one.meta
+        found.append({"states": len(one), "meta": meta})
+    return json.dumps({"parts": found})
 
 
 class StateSampler:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -154,5 +155,9 @@ def test_parents_follow_their_states(tmp_path: Path) -> None:
     assert both.weight is not None
     assert both.parent.tolist() == [1, 3, -1, -1, -1, -1, -1]
     assert both.weight.tolist() == [6.0, 5.0, 3.0, 1.0, 1.0, 1.0, 1.0]
+    assert json.loads(both.meta) == {
+        "parts": [{"states": 4, "meta": {"seed": 1}}, {"states": 3, "meta": ""}]
+    }
+    assert GraspStates.concatenate([chosen, chosen]).meta == chosen.meta
     with pytest.raises(InvalidInput, match="concatenate got no"):
         GraspStates.concatenate([])
