@@ -50,12 +50,16 @@ def test_a_bar_is_gone_after_what_went_wrong(
         monkeypatch.setenv("TTY_COMPATIBLE", "1")
     console = notes()
     assert console.is_terminal == wide
-    with pytest.raises(InvalidInput), progress(console) as bar:
-        bar.add_task("grasps")
-        raise InvalidInput("no grasp was found")
+
+    def fail(error: BaseException) -> None:
+        with progress(console) as bar:
+            bar.add_task("grasps")
+            raise error
+
+    with pytest.raises(InvalidInput):
+        fail(InvalidInput("no grasp was found"))
     said = capsys.readouterr().err
     assert said.endswith("\x1b[1A\x1b[2K") if wide else said == ""
-    with pytest.raises(KeyboardInterrupt), progress(console) as bar:
-        bar.add_task("grasps")
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        fail(KeyboardInterrupt())
     assert "grasps" in capsys.readouterr().err

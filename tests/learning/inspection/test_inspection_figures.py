@@ -112,17 +112,21 @@ def test_a_guide_is_told_with_its_objects() -> None:
     assert guide_title("coordinated") == "coordinated gait"
 
 
+_CRITIC, _VALUE = "Critic loss", "Mean value of the policy's actions"
+_HELD = "The policy's own episodes that would hold"
+
+
 @pytest.mark.parametrize(
     ("kept", "titles"),
     [
-        (("critic_loss", "q_mean", "held"), ("Critic loss", "Mean value of the policy's actions")),
-        (("critic_loss", "q_mean", "bc_loss"), ("Critic loss", "Mean value of the policy's actions")),
-        (("critic_loss", "held"), ("Critic loss", "The policy's own episodes that would hold")),
-        (("bc_loss", "held"), ("Cloning loss", "The policy's own episodes that would hold")),
-        ((), ("Critic loss", "Mean value of the policy's actions")),
+        (("critic_loss", "q_mean", "held"), (_CRITIC, _VALUE)),
+        (("critic_loss", "q_mean", "bc_loss"), (_CRITIC, _VALUE)),
+        (("critic_loss", "held"), (_CRITIC, _HELD)),
+        (("bc_loss", "held"), ("Cloning loss", _HELD)),
+        ((), (_CRITIC, _VALUE)),
     ],
     ids=["sac", "sac cloned", "ppo", "dagger", "nothing yet"],
-)  # fmt: skip
+)
 def test_the_last_panels_are_of_what_an_algorithm_has(
     kept: tuple[str, ...], titles: tuple[str, ...]
 ) -> None:
