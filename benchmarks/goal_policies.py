@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from common import Figure, Settings, progress, settings, write
@@ -34,6 +34,7 @@ from learning.envs.goals import CUBE, Goals
 from learning.evaluation import Protocol, evaluate, rollout
 from learning.training.run_folder import RunFolder
 
+Palm = Literal["up", "down", "any"]
 X, Z = np.eye(3)[0], np.eye(3)[2]
 _TOLD = ("q", "q_target", "contact_position", "contact_normal", "contact_force",
          "goal_angular_velocity")  # fmt: skip
@@ -57,12 +58,37 @@ _GENTLY = {
     "drop_cost": 10.0,
     "max_tilt": 0.9,
 }
-_ASKED: tuple[tuple[Goals, bool], ...] = (("uniform", False), ("uniform", True), ("cube", True))
 _ROUNDS = 2
 
 
+class Asked(NamedTuple):
+    """What two policies in sequence are asked for while it is watched where they take over."""
+
+    goals: Goals
+    images: bool = False
+    palm: Palm = "up"
+    """Which way it looks, any: uniform on the sphere, for each episode."""
+
+
+_ASKED = (Asked("uniform"), Asked("uniform", images=True), Asked("cube", images=True))
+
+
 @dataclass(frozen=True, kw_only=True)
-class Options(Settings):
+class Rounds(Settings):
+    """Settings of any trainings of two policies that take over from each other."""
+
+    num_envs: int = 128
+    """Environments of each."""
+    episodes: int = 192
+    """Episodes with goals in which starts are looked for, and of the evaluation."""
+    seconds: float = 60.0
+    """Of each of these."""
+    runs: Path = Path("out")
+    """Folder of the trainings and of the starts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Rounds):
     """Settings of the trainings."""
 
     steps: int = 600_000
@@ -73,16 +99,9 @@ class Options(Settings):
     """Of the next training of each."""
     gentle_steps: int = 900_000
     """Of the last two of each."""
-    num_envs: int = 128
-    """Environments of each."""
     states_seconds: float = 25.0
-    """Of the episodes in which starts are looked for."""
-    episodes: int = 192
-    """Episodes with goals in which the last starts are looked for, and of the evaluation."""
-    seconds: float = 60.0
-    """Of each of these."""
+    """Of the episodes in which the first starts are looked for."""
     runs: Path = Path("out/goal_policies")
-    """Folder of the trainings and of the starts."""
 
 
 def lean(quaternion: Floats, upright: Floats, axis: Floats) -> Floats:
@@ -162,13 +181,12 @@ def visited(
     return kept, upright
 
 
-def protocol(given: Options, seed: int, goals: Goals = "cube") -> Protocol:
+def protocol(given: Rounds, seed: int, goals: Goals = "cube", palm: Palm = "up") -> Protocol:
     """Goals of a cube, one after the other."""
     task = TaskConfig(goals=goals, reorientation=ReorientationConfig(goal_count=1000))
-    return changed(
-        Protocol(task=task),
-        {"object": "cube", "episodes": given.episodes, "seconds": given.seconds, "seed": seed},
-    )
+    way = {"gravity_tilt": np.pi} if palm == "any" else {"gravity": palm}
+    own = {"object": "cube", "episodes": given.episodes, "seconds": given.seconds, "seed": seed}
+    return changed(Protocol(task=task), own | way)
 
 
 class Watched(GoalSequence):
@@ -196,7 +214,11 @@ class Watched(GoalSequence):
 
 
 def pair(
-    about: Path, across: Path, kind: type[GoalSequence] = GoalSequence, *, images: bool = False
+    about: Path | str,
+    across: Path | str,
+    kind: type[GoalSequence] = GoalSequence,
+    *,
+    images: bool = False,
 ) -> Any:
     """The sequence of two policies."""
     hand = hands.load("dex5")
@@ -205,20 +227,20 @@ def pair(
 
 
 def taken_over(
-    about: Path,
-    across: Path,
-    asked: Sequence[tuple[Goals, bool]],
+    about: Path | str,
+    across: Path | str,
+    asked: Sequence[Asked],
     seed: int,
     files: tuple[Path, Path],
-    given: Options,
+    given: Rounds,
 ) -> None:
     """Write where two policies take over from each other, behind what is in the files."""
     if files[1].exists():
         return
     kept, upright = (Kept(), Kept()), np.zeros(4)
-    for goals, images in asked:
+    for goals, images, palm in asked:
         both = pair(about, across, Watched, images=images)
-        found = rollout(both, protocol(given, seed, goals))
+        found = rollout(both, protocol(given, seed, goals, palm))
         upright = found.scene.settled.qpos[found.scene.object_qpos][3:]
         for leg, one in zip((Leg.ABOUT, Leg.ACROSS), kept, strict=True):
             one.rows.extend(both.kept[leg].rows)
@@ -226,14 +248,14 @@ def taken_over(
         one.save(path, upright, axis)
 
 
-def config(given: Options, method: str, steps: int, **changes: Any) -> TrainConfig:
+def config(given: Rounds, method: str, steps: int, **changes: Any) -> TrainConfig:
     """A training with the recipe fast, its guides there for three of eight steps."""
     own = {"object": "cube", "steps": steps, "seed": given.seed, "num_envs": given.num_envs}
     own |= {"threads": 1, "hard_stop": max(3 * steps // 8, 1)}
     return changed(recipe("fast", method), own | changes)
 
 
-def train(name: str, given: Options, wanted: Callable[[], TrainConfig]) -> Path:
+def train(name: str, given: Rounds, wanted: Callable[[], TrainConfig]) -> Path:
     """The folder of a run that is done."""
     from learning.training.trainer import resume
     from learning.training.trainer import train as begin
@@ -295,7 +317,7 @@ def main() -> None:
         episode_steps=400, sac={"learning_rate": 5e-4},
     ))  # fmt: skip
     starts = (files["about"], files["across"])
-    taken_over(z, x2, [("cube", False)], given.seed + 900, starts, given)
+    taken_over(z, x2, [Asked("cube")], given.seed + 900, starts, given)
     across = train("across", given, lambda: config(
         given, "rl", given.last_steps, axis="x", begin_from=x2, initial_states=starts[1],
         **_FROM_GOALS,
