@@ -113,7 +113,7 @@ def main() -> None:
     ):
         asked = protocol(given, given.seed + 50_000, goals, palm)
         got = evaluate(pair(about, across), asked).figures()
-        who = {"about": Path(about).name, "across": Path(across).name}
+        who = {"about": Path(about).stem, "across": Path(across).stem}
         rows.append(who | {"goals": goals, "palm": palm} | {
             name: one.to_dict() for name, one in got.items()
         })  # fmt: skip

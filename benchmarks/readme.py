@@ -34,6 +34,7 @@ HEADINGS = {
     "learned": "Learned gaits",
     "reorientation": "Goal orientations and commanded axes",
     "goal_policies": "Policies for goals",
+    "goals_any_way_up": "Policies for goals, any way up",
     "learner": "Training throughput",
     "devices": "Training on a GPU",
     "algorithms": "Algorithms and their peers",

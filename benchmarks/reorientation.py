@@ -50,6 +50,7 @@ class Options(Settings):
     who: tuple[str, ...] = (
         "goal",
         "sequence:dex5-cube-z,dex5-cube-x",
+        "sequence:dex5-cube-z-any,dex5-cube-x-any",
         "commanded:dex5-cube-z,dex5-cube-x,dex5-cube-y",
         "commanded:dex5-easy-any,dex5-sphere-x",
         "dex5-axes",
@@ -76,7 +77,7 @@ class Options(Settings):
     """Kinds of goals; to the root it is from grasps that are sampled all over the object."""
     palms: tuple[str, ...] = ("up", "down", "any")
     """Which way it looks, any: uniform on the sphere, for each episode; down and any for
-    orientations of a cube alone, where the pose is tracked."""
+    orientations of a cube and uniform ones, where the pose is tracked."""
     starts: int = 200
     """How many grasps are sampled for the way to the root."""
     poses: tuple[Pose, ...] = ("tracked", "odometry")
@@ -163,10 +164,10 @@ def wanted(subject: Subject, given: Options) -> list[Asked]:
             for palm in given.palms
             for pose in given.poses
             for what in given.goals
-            if palm == "up" or (what, pose) == ("cube", "tracked")
+            if palm == "up" or (what in GOAL and pose == "tracked")
         ]
     if "long" in given.parts:
-        goals.append(Asked("cube", given.object, given.long))
+        goals += [Asked("cube", given.object, given.long, palm=palm) for palm in given.palms]
     for name in given.turned:
         if "axes" in given.parts:
             axes += [Asked(what, name, given.turning) for what in given.axes]

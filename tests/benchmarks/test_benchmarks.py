@@ -80,6 +80,11 @@ RUNS: dict[str, list[str]] = {
         *("--gentle-steps", "200"),
         *("--states-seconds", "0.5", "--episodes", "12", "--seconds", "1"),
     ],
+    "goals_any_way_up.py": [
+        *("--about", "dex5-cube-z", "--across", "dex5-cube-x", "--evaluated", "any"),
+        *("--any-steps", "200", "--last-steps", "200", "--num-envs", "4"),
+        *("--episodes", "16", "--seconds", "5"),
+    ],
     "predictive_sampling.py": [*SHORT],
     "servo_hand.py": [*SHORT, "--objects", "cylinder"],
     "reorientation.py": [
@@ -98,7 +103,8 @@ RUNS: dict[str, list[str]] = {
 
 LONGER = {  # than five seconds of processor, however little they are asked for
     "ablation.py", "algorithms.py", "commanded_speed.py", "compiled_or_plain.py", "conditions.py",
-    "devices.py", "feedback.py", "feedback_x.py", "gaits.py", "goal_policies.py", "hands.py",
+    "devices.py", "feedback.py", "feedback_x.py", "gaits.py", "goal_policies.py",
+    "goals_any_way_up.py", "hands.py",
     "hands_learned.py", "hands_turning.py", "hardware_grasp.py", "hardware_loop.py", "learner.py",
     "learning_ablation.py", "planning.py", "predictive_sampling.py", "ranges.py",
     "reach.py", "reorientation.py", "robustness.py", "servo_hand.py", "starts.py", "touch.py",
@@ -143,13 +149,14 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     if script in (
         "learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py",
         "devices.py", "goal_policies.py", "feedback.py", "feedback_x.py", "commanded_speed.py",
+        "goals_any_way_up.py",
     ):  # fmt: skip
         pytest.importorskip("torch", reason="needs the extra 'learning'")
     if script in ("learner.py", "algorithms.py"):
         pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
     if script in (
         "learning_ablation.py", "feedback.py", "feedback_x.py", "starts.py", "goal_policies.py",
-        "commanded_speed.py",
+        "commanded_speed.py", "goals_any_way_up.py",
     ):  # fmt: skip
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]
     if script == "hands_turning.py":
