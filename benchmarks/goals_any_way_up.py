@@ -15,8 +15,23 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from common import Figure, progress, settings, write
-from goal_policies import Asked, Palm, Rounds, config, pair, protocol, taken_over, train
+import numpy as np
+from common import check_chosen, progress, settings, write
+from goal_policies import (
+    COLUMNS,
+    SLOWLY,
+    Asked,
+    Palm,
+    Rounds,
+    cells,
+    config,
+    figure,
+    pair,
+    protocol,
+    taken_over,
+    title,
+    train,
+)
 
 from dexctl.sim import GraspStates
 from learning.evaluation import evaluate
@@ -34,7 +49,6 @@ _SURELY = (
     Asked("uniform", palm="down"),
     Asked("cube", palm="up"),
 )
-_ANY_WAY_UP = {"gravity_tilt": 3.141592653589793, "gravity_straight_share": 0.4}
 _TASK: dict[str, Any] = {
     "parts": ("q", "q_target", "contact_position", "contact_normal", "contact_force", "gravity"),
     "critic_parts": ("object_position", "object_quaternion", "object_velocity", "fingertip_force"),
@@ -43,16 +57,11 @@ _TASK: dict[str, Any] = {
     "drift_cost": 4.0,
     "max_tilt": 0.9,
     "episode_steps": 200,
-    **_ANY_WAY_UP,
+    "gravity_tilt": np.pi,
+    "gravity_straight_share": 0.4,
 }
-_GENTLY: dict[str, Any] = {
-    "sac": {
-        "learning_rate": 3e-4,
-        "learning_rate_end": 5e-5,
-        "gradient_steps": 1,
-        "learning_starts": 50_000,
-    }
-}
+_ROUNDS = (_ROUGHLY, _SURELY)
+_RUNS = tuple(f"{name}{i + 1}" for i in range(len(_ROUNDS)) for name in ("about", "across"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +87,7 @@ def trained(given: Options) -> list[tuple[Path | str, Path | str]]:
     """The pairs of policies, from those that are gone on from to the last."""
     pairs: list[tuple[Path | str, Path | str]] = [(given.about, given.across)]
     starts: list[tuple[Path, Path]] = []
-    for number, asked in enumerate((_ROUGHLY, _SURELY), start=1):
+    for number, asked in enumerate(_ROUNDS, start=1):
         new = (given.runs / f"new{number}-z.npz", given.runs / f"new{number}-x.npz")
         taken_over(*pairs[-1], asked, given.seed + 1800 + number, new, given)
         starts.append(new)
@@ -93,7 +102,7 @@ def trained(given: Options) -> list[tuple[Path | str, Path | str]]:
                 told["controllers"] = (before, guide)
                 wanted = partial(config, given, "vge", given.any_steps, **told)
             else:
-                told |= {"begin_from": before, **_GENTLY}
+                told |= {"begin_from": before, "sac": SLOWLY}
                 wanted = partial(config, given, "rl", given.last_steps, **told)
             if given.only in ("", run):
                 train(run, given, wanted)
@@ -106,6 +115,7 @@ def trained(given: Options) -> list[tuple[Path | str, Path | str]]:
 
 def main() -> None:
     given = settings(Options, __doc__)
+    check_chosen("run", (given.only,) if given.only else (), _RUNS)
     given.runs.mkdir(parents=True, exist_ok=True)
     rows = []
     for (about, across), goals, palm in product(
@@ -125,42 +135,18 @@ def main() -> None:
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write what the pairs of policies reach."""
     table = {
-        "title": f"Goal orientations of a cube by two policies in sequence, {given.episodes} "
-        f"episodes of {given.seconds:g} s",
-        "header": [
-            "about z", "across", "goals", "palm", "first goal", "to it [s]", "all goals",
-            "in a row", "dropped",
-        ],
+        "title": title(given),
+        "header": ["about z", "across", "goals", "palm", *COLUMNS],
         "rows": [
-            [
-                row["about"],
-                row["across"],
-                row["goals"],
-                row["palm"],
-                f"{100 * row['share_first_goal_reached']['value']:.0f} %",
-                f"{row['first_goal_median_s']['value']:.1f}",
-                f"{100 * row['share_goals_reached']['value']:.0f} %",
-                f"{row['goals_in_a_row_median']['value']:.0f}",
-                f"{100 * row['share_dropped']['value']:.0f} %",
-            ]
-            for row in rows
+            [row["about"], row["across"], row["goals"], row["palm"], *cells(row)] for row in rows
         ],
-    }  # fmt: skip
+    }
     last = rows[-1]["about"], rows[-1]["across"]
-    found = []
-    for row in rows:
-        if (row["about"], row["across"]) == last:
-            reached = row["share_first_goal_reached"]["value"]
-            time = row["first_goal_median_s"]["value"]
-            found.append(
-                Figure(
-                    f"goals ({row['goals']}) of a cube, palm {row['palm']}, two policies in "
-                    "sequence: first goals reached",
-                    f"{100 * reached:.0f} %, median {time:.1f} s",
-                    "96 %, 7 s",
-                    reached >= 0.96 and time <= 7,
-                )
-            )
+    found = [
+        figure(row, f", palm {row['palm']}")
+        for row in rows
+        if (row["about"], row["across"]) == last
+    ]
     write("goals_any_way_up", given, found, [table], trials=rows, say=say)
 
 
