@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
+from functools import cache
+from importlib.metadata import EntryPoint
 
 # One thread a process for linear algebra, set before numpy is loaded: the matrices are small, and
 # pytest-xdist already keeps the cores busy.
@@ -17,6 +19,7 @@ import hypothesis
 import pytest
 
 import dexctl
+from dexctl.controllers import GROUP, POLICIES, table
 
 FOUR_FINGERS = Path(__file__).resolve().parent / "hands" / "four_fingers.xml"
 
@@ -31,6 +34,23 @@ hypothesis.settings.load_profile("dexctl")
 def dex5() -> dexctl.HandModel:
     """The built-in hand."""
     return dexctl.hands.load("dex5")
+
+
+@pytest.fixture
+def registered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Has only these entry points be the controllers that packages have registered."""
+
+    def register(*points: EntryPoint) -> None:
+        monkeypatch.setattr(table, "entry_points", lambda group: points)
+        monkeypatch.setattr(table, "known_entries", cache(table.known_entries.__wrapped__))
+
+    return register
+
+
+@pytest.fixture
+def learned(registered: Callable[..., None]) -> None:
+    """The name of the policies, known without an installation too."""
+    registered(EntryPoint(POLICIES, "learning.policies:learned", GROUP))
 
 
 @pytest.fixture(scope="session")

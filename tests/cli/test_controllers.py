@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from typing import Any
 
@@ -11,6 +11,7 @@ import pytest
 
 import dexctl
 from dexctl import controllers
+from dexctl.controllers import table
 
 
 def state_of(hand: dexctl.HandModel, batch: tuple[int, ...] = ()) -> dexctl.GraspState:
@@ -120,23 +121,20 @@ def anything(hand: dexctl.HandModel, **options: Any) -> dexctl.Controller:
 
 
 @pytest.fixture
-def plugged(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Any], None]]:
+def plugged(
+    monkeypatch: pytest.MonkeyPatch, registered: Callable[..., None]
+) -> Callable[[Any], None]:
     """Registers an object as the controller "plugged"."""
 
-    class Point:
-        name, module, attr = "plugged", __name__, "_plugged"
-
     def plug(kind: Any) -> None:
-        monkeypatch.setattr(controllers, "entry_points", lambda group: [Point])
+        registered(EntryPoint("plugged", f"{__name__}:_plugged", controllers.GROUP))
         holder = type("Holder", (), {"_plugged": staticmethod(kind)})
-        real = controllers.import_module
+        real = table.import_module
         monkeypatch.setattr(
-            controllers, "import_module", lambda name: holder if name == __name__ else real(name)
+            table, "import_module", lambda name: holder if name == __name__ else real(name)
         )
-        controllers._known.cache_clear()
 
-    yield plug
-    controllers._known.cache_clear()
+    return plug
 
 
 @pytest.mark.parametrize("kind", [Bare, WithOtherConfig])
@@ -236,12 +234,7 @@ def test_other_packages_add_theirs(plugged: Callable[[Any], None], dex5: dexctl.
 
 
 def test_own_names_cannot_be_taken_over(
-    monkeypatch: pytest.MonkeyPatch, dex5: dexctl.HandModel
+    registered: Callable[..., None], dex5: dexctl.HandModel
 ) -> None:
-    points = [EntryPoint("igm", "dexctl.controllers:Hold", controllers.GROUP)]
-    monkeypatch.setattr(controllers, "entry_points", lambda group: points)
-    controllers._known.cache_clear()
-    try:
-        assert isinstance(controllers.make("igm", dex5), dexctl.InGraspManipulation)
-    finally:
-        controllers._known.cache_clear()
+    registered(EntryPoint("igm", "dexctl.controllers:Hold", controllers.GROUP))
+    assert isinstance(controllers.make("igm", dex5), dexctl.InGraspManipulation)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-from functools import cache
-from importlib.metadata import EntryPoint
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import dexctl
-from dexctl import controllers
 from dexctl.cli import main
 from dexctl.controllers import Hold, resolve
 from dexctl.exceptions import InvalidInput, UnknownName
@@ -21,12 +19,7 @@ from learning import policies
 SHIPPED = policies.FOLDER / "dex5-cylinder.npz"
 
 
-@pytest.fixture(autouse=True)
-def learned(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The name of the policies, known without an installation too."""
-    point = EntryPoint("learned", "learning.policies:learned", controllers.GROUP)
-    monkeypatch.setattr(controllers, "entry_points", lambda group: [point])
-    monkeypatch.setattr(controllers, "_known", cache(controllers._known.__wrapped__))
+pytestmark = pytest.mark.usefixtures("learned")
 
 
 @pytest.fixture
@@ -106,9 +99,9 @@ def test_what_it_is_not(
 
 
 def test_policies_without_an_installation(
-    dex5: dexctl.HandModel, monkeypatch: pytest.MonkeyPatch
+    dex5: dexctl.HandModel, registered: Callable[..., None]
 ) -> None:
-    monkeypatch.setattr(controllers, "_known", lambda: dict(controllers._CONTROLLERS))
+    registered()
     for name in ("learned", str(SHIPPED)):
         with pytest.raises(InvalidInput, match="policies need dexctl to be installed"):
             resolve(name, dex5)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 
 import dexctl
-from dexctl import controllers
 from dexctl.cli import commands, main
 from dexctl.exceptions import InvalidInput
 from hardware.bus import Bus
@@ -38,12 +36,9 @@ PATIENT = ["--emulate", "--patience", "10"]
 
 
 @pytest.fixture(autouse=True)
-def group(monkeypatch: pytest.MonkeyPatch) -> None:
+def group(monkeypatch: pytest.MonkeyPatch, learned: None) -> None:
     point = EntryPoint("hardware", "hardware.cli:COMMANDS", commands.GROUP)
     monkeypatch.setattr(commands, "entry_points", lambda group: [point])
-    learned = EntryPoint("learned", "learning.policies:learned", controllers.GROUP)
-    monkeypatch.setattr(controllers, "entry_points", lambda group: [learned])
-    monkeypatch.setattr(controllers, "_known", cache(controllers._known.__wrapped__))
 
 
 def test_help(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 import dexctl
-from dexctl import JointTouch, controllers, hands
+from dexctl import JointTouch, hands
 from dexctl.cli import commands, main
 from dexctl.hand_toml import to_toml
 from dexctl.state import Bools
@@ -34,7 +33,6 @@ PATIENT = Limits(watchdog=2.4, command_age=2.0, state_age=3.0, overruns=(1.0, 1.
 def group(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("hardware", "hardware.cli:COMMANDS", commands.GROUP)
     monkeypatch.setattr(commands, "entry_points", lambda group: [point])
-    monkeypatch.setattr(controllers, "_known", cache(controllers._known.__wrapped__))
 
 
 @pytest.fixture(scope="module")

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dexctl
-from dexctl import controllers
 from dexctl.exceptions import InvalidInput
 from hardware.cli.options import HandOptions, busy
 from hardware.cli.run import make_controller
@@ -20,14 +17,6 @@ from hardware.report import build
 from hardware.run_report import RunReport
 from hardware.state_machine import Event, State
 from learning import policies
-
-
-@pytest.fixture
-def learned(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The shipped policies' name, known without an installation too."""
-    point = EntryPoint("learned", "learning.policies:learned", controllers.GROUP)
-    monkeypatch.setattr(controllers, "entry_points", lambda group: [point])
-    monkeypatch.setattr(controllers, "_known", cache(controllers._known.__wrapped__))
 
 
 def twenty(hand: dexctl.HandModel, control_period: float) -> dexctl.Controller:

@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 
 import dexctl
-from dexctl import controllers
 from dexctl.cli import commands, main
 from dexctl.exceptions import InvalidInput, UnknownName
 from hardware import models
@@ -303,7 +301,6 @@ def test_port_and_speed_are_found() -> None:
 def group(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("hardware", "hardware.cli:COMMANDS", commands.GROUP)
     monkeypatch.setattr(commands, "entry_points", lambda group: [point])
-    monkeypatch.setattr(controllers, "_known", cache(controllers._known.__wrapped__))
 
 
 def test_check_finds_all_of_it(
