@@ -35,9 +35,11 @@ class Controller(ABC):
         hand: the hand that is controlled.
         control_period: time between two calls of :meth:`act` [s].
         object: name of the object that it was made for, as a tree is of one; None: any.
+        tracks: whether it acts only where the state has the object's pose.
     """
 
     object: str | None = None
+    tracks: bool = False
 
     def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:
         if not isinstance(hand, HandModel):

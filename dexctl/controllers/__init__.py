@@ -6,12 +6,12 @@ control_period=..., **options)``, without ``control_period`` where the controlle
 returns the `Controller`. One that names a keyword ``axis`` can be told about which axis to turn the
 object; any other turns about z. It is loaded when it is made, not before.
 
-A controller that needs a file, or another controller, has it after its name:
-``planned:tree.npz``, ``steered:goal``, ``sequence:dex5-cube-z,dex5-cube-x``. A policy has its pace
-there, where it is to go slower than it was trained to: ``dex5-robust@0.8``.
+A controller that needs a file, or another controller, has it after its name: ``planned:tree.npz``,
+``regulated:dex5-nine``, ``steered:goal``, ``sequence:dex5-cube-z,dex5-cube-x``. A policy has its
+pace there, where it is to go slower than it was trained to: ``dex5-robust@0.8``.
 """
 
-from dexctl.controllers.composed import commanded, sequence, steered
+from dexctl.controllers.composed import commanded, regulated, sequence, steered
 from dexctl.controllers.hold import Hold
 from dexctl.controllers.making import make, other_object, resolve
 from dexctl.controllers.table import GROUP, POLICIES, ControllerEntry, entry, is_named, names
@@ -33,6 +33,7 @@ __all__ = [
     "names",
     "other_object",
     "paced",
+    "regulated",
     "resolve",
     "sequence",
     "steered",

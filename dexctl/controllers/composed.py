@@ -1,4 +1,4 @@
-"""Controllers that are made of others by name: steered, in sequence, as commanded."""
+"""Controllers that are made of others by name: steered, regulated, in sequence, as commanded."""
 
 from __future__ import annotations
 
@@ -36,6 +36,32 @@ def steered(
 
     found = resolve(turner, hand, control_period=control_period, axis=axis)
     return GoalSteering(hand, turner=found, control_period=found.control_period, **changes)
+
+
+def regulated(
+    hand: HandModel,
+    *,
+    turner: str,
+    control_period: float | None = None,
+    axis: tuple[float, float, float] | None = None,
+    **changes: Any,
+) -> Controller:
+    """The controller of the name "regulated": a `dexctl.gait.RegulatedTurning` of another one.
+
+    Args:
+        hand: the hand.
+        turner: who turns the object, as `resolve` takes it.
+        control_period, axis: of that one.
+        **changes: settings of `RegulatedTurningConfig`.
+
+    Raises:
+        UnknownName, InvalidInput: no such turner, one that turns about no axis, or a setting is
+            wrong.
+    """
+    from dexctl.gait import RegulatedTurning
+
+    found = resolve(turner, hand, control_period=control_period, axis=axis)
+    return RegulatedTurning(hand, turner=found, **changes)
 
 
 def sequence(

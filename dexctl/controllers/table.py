@@ -114,6 +114,17 @@ _CONTROLLERS = {
             follows=("goal_quaternion",),
         ),
         ControllerEntry(
+            name="regulated",
+            title="regulated turning",
+            description="has another controller, regulated:NAME, turn the object in its place",
+            module="dexctl.controllers",
+            attribute="regulated",
+            keyword="turner",
+            wanted="NAME",
+            others=True,
+            follows=(),
+        ),
+        ControllerEntry(
             name="sequence",
             title="sequence to a goal",
             description="has two controllers, sequence:ABOUT,ACROSS, turn the object to a goal",

@@ -4,6 +4,11 @@ from dexctl.gait.commanded import CommandedTurning
 from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitChanges, CoordinatedGaitConfig
 from dexctl.gait.goal import GoalGait, GoalGaitChanges, GoalGaitConfig
 from dexctl.gait.macro import Macro, MacroConfig
+from dexctl.gait.regulated import (
+    RegulatedTurning,
+    RegulatedTurningChanges,
+    RegulatedTurningConfig,
+)
 from dexctl.gait.sequence import GoalSequence, GoalSequenceChanges, GoalSequenceConfig
 from dexctl.gait.steering import GoalSteering, GoalSteeringChanges, GoalSteeringConfig
 from dexctl.gait.thesis import FingerGaiting, FingerGaitingChanges, FingerGaitingConfig
@@ -27,4 +32,7 @@ __all__ = [
     "GoalSteeringConfig",
     "Macro",
     "MacroConfig",
+    "RegulatedTurning",
+    "RegulatedTurningChanges",
+    "RegulatedTurningConfig",
 ]

@@ -64,6 +64,7 @@ class CommandedTurning(BatchController):
         super().__init__(hand, control_period=period)
         self.turners = tuple(turners)
         self.object = turners[0].object
+        self.tracks = any(one.tracks for one in turners)
         found: list[tuple[int, HandSymmetry]] = []
         axes: list[Floats] = []
         for symmetry in symmetries(hand) if images else symmetries(hand)[:1]:

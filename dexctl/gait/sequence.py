@@ -144,6 +144,7 @@ class GoalSequence(BatchController):
         self.across = gait((1, 0, 0)) if across is None else across
         check_parts(hand, {"about": self.about, "across": self.across}, control_period)
         self.turner = CommandedTurning(hand, (self.about, self.across), images=config.images)
+        self.tracks = self.turner.tracks
         axes = self.turner.axes
         along = axes @ axes[0]  # the first is the first controller's own
         lying = axes[np.abs(along) < _SQUARE]

@@ -84,7 +84,7 @@ class GoalSteering(BatchController):
         super().__init__(hand, control_period=control_period)
         check_parts(hand, {"turner": turner}, control_period)
         self.config = with_changes(GoalSteeringConfig, config, changes)
-        self.turner, self.object = turner, turner.object
+        self.turner, self.object, self.tracks = turner, turner.object, turner.tracks
         self.grasp = GoalGait(hand, control_period=turner.control_period, axis=axis)
         self._start(0)
 

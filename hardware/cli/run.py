@@ -223,6 +223,11 @@ def make_controller(name: str, model: HandModel, rate: float | None = None) -> C
         return _MOTIONS[name](model, control_period=PERIOD if rate is None else 1.0 / rate)
     period = _usual_period(name) if rate is None else 1.0 / rate
     made = controllers.resolve(name, model, control_period=period)
+    if made.tracks:
+        raise InvalidInput(
+            f"{name} needs the object's pose, and nothing tracks it here; expected a controller "
+            "that does without"
+        )
     if rate is not None and not np.isclose(made.control_period * rate, 1.0):
         raise InvalidInput(f"--rate is {rate:g}; {name} runs at {1.0 / made.control_period:g} Hz")
     return made

@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from dexctl import ContactSwitch, Controller, FingerGaiting, GraspState, InGraspManipulation
-from dexctl.gait import CommandedTurning, CoordinatedGait, GoalGait, GoalSequence, GoalSteering
+from dexctl.gait import (
+    CommandedTurning,
+    CoordinatedGait,
+    GoalGait,
+    GoalSequence,
+    GoalSteering,
+    RegulatedTurning,
+)
 from dexctl.igm import InGraspManipulationConfig
 from dexctl.planning import Kinematic, PlannedGait, Tree, grow
 from dexctl.sim import BatchSimulator, Scene
@@ -44,6 +51,9 @@ CONTROLLERS: dict[str, Callable[..., Controller]] = {
     "gait, sequence": GoalSequence,
     "gait, commanded": lambda hand, **settings: CommandedTurning(
         hand, [CoordinatedGait(hand, least_travel=0.0, **settings)], axis=(0.0, 0.0, -1.0)
+    ),
+    "gait, regulated": lambda hand, **settings: RegulatedTurning(
+        hand, turner=CoordinatedGait(hand, least_travel=0.0, **settings)
     ),
     "gait, planned": lambda hand, **settings: CoordinatedGait(
         hand, least_travel=0.0, switch=GuardedSwitchConfig(path="planned"), **settings

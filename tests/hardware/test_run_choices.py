@@ -25,6 +25,11 @@ def twenty(hand: dexctl.HandModel, control_period: float) -> dexctl.Controller:
 
 
 @pytest.mark.usefixtures("learned")
+def test_one_that_needs_the_objects_pose(dex5: dexctl.HandModel) -> None:
+    with pytest.raises(InvalidInput, match="regulated:coordinated needs the object's pose"):
+        make_controller("regulated:coordinated", dex5)
+
+
 def test_the_rate_is_the_controllers(dex5: dexctl.HandModel) -> None:
     for name, rate, period in (
         ("igm", None, 0.02),
