@@ -47,10 +47,10 @@ class RegulatedTurning(BatchController):
 
     A policy that feels contacts and does not see the object lets it wander until it is lost. Here
     the fingers that touch also move as they have to for the object to come back: height, place
-    across the axis and, if that is asked for, tilt, each by a gain (thesis chapter 4, eq. dqrot, with the twist of a
-    proportional regulation). That part turns nothing and controls no force, so the other
-    controller goes on with its gait. The object has to be tracked: reckoned from fingers that
-    another controller lifts, its pose is soon further off than the object.
+    across the axis and, if that is asked for, tilt, each by a gain (thesis chapter 4, eq. dqrot,
+    with the twist of a proportional regulation). That part turns nothing and controls no force, so
+    the other controller goes on with its gait. The object has to be tracked: reckoned from fingers
+    that another controller lifts, its pose is soon further off than the object.
 
     Args:
         hand: the hand.
