@@ -30,6 +30,7 @@ from common import (
     write,
 )
 
+from dexctl.controllers import is_named
 from dexctl.planning import Kinematic, Stability, Tree, grow, path_states
 from dexctl.settings import changed, to_plain
 from dexctl.sim import Scene
@@ -318,7 +319,9 @@ def outcome(got: Evaluation) -> dict[str, Any]:
 def shipped(name: str, given: Options) -> list[dict[str, Any]]:
     """The rows of the shipped policy; none where it is for another hand."""
     task = TASKS[name]
-    subject = open_subject(given.policy)
+    # a policy knows its hand; who is put together by name is asked for the task's
+    own = task.hand if is_named(given.policy) else None
+    subject = open_subject(given.policy, hand=own)
     if subject.hand != task.hand:
         return []
     about = {"task": name, "method": "policy", "policy": given.policy, "steps": 0}
