@@ -169,6 +169,20 @@ class Superposition(Controller):
         return action
 
 
+def axis_of(turner: Controller) -> Floats:
+    """The axis that a controller turns an object about, ``(3,)``.
+
+    Raises:
+        InvalidInput: it has none of its own.
+    """
+    axis = getattr(turner, "axis", None)
+    if axis is None:
+        raise InvalidInput(
+            f"{type(turner).__name__} does not turn about one axis; expected one that does"
+        )
+    return np.asarray(axis, float)
+
+
 def check_parts(
     hand: HandModel | None, parts: Mapping[str, Controller], control_period: float | None = None
 ) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dexctl.controller import BatchController, Controller, check_parts
+from dexctl.controller import BatchController, Controller, axis_of, check_parts
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, copies, fill
@@ -56,11 +56,7 @@ class CommandedTurning(BatchController):
         if not turners:
             raise InvalidInput("CommandedTurning got no turners; expected at least one")
         period = check_parts(hand, {f"turner {i}": one for i, one in enumerate(turners)})
-        for one in turners:
-            if getattr(one, "axis", None) is None:
-                raise InvalidInput(
-                    f"{type(one).__name__} does not turn about one axis; expected one that does"
-                )
+        about = [axis_of(one) for one in turners]
         super().__init__(hand, control_period=period)
         self.turners = tuple(turners)
         self.object = turners[0].object
@@ -68,8 +64,8 @@ class CommandedTurning(BatchController):
         found: list[tuple[int, HandSymmetry]] = []
         axes: list[Floats] = []
         for symmetry in symmetries(hand) if images else symmetries(hand)[:1]:
-            for i, one in enumerate(self.turners):
-                image = symmetry.of_turnings(np.asarray(one.axis, float))  # type: ignore[attr-defined]
+            for i, turned in enumerate(about):
+                image = symmetry.of_turnings(turned)
                 if not any(np.allclose(image, other, atol=1e-6) for other in axes):
                     axes.append(image)
                     found.append((i, symmetry))

@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.controller import BatchController, Controller, check_parts
+from dexctl.controller import BatchController, Controller, axis_of, check_parts
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
@@ -75,15 +75,10 @@ class RegulatedTurning(BatchController):
         **changes: Unpack[RegulatedTurningChanges],
     ) -> None:
         period = check_parts(hand, {"turner": turner})
-        axis = getattr(turner, "axis", None)
-        if axis is None:
-            raise InvalidInput(
-                f"{type(turner).__name__} does not turn about one axis; expected one that does"
-            )
         super().__init__(hand, control_period=period)
         self.config = config = with_changes(RegulatedTurningConfig, config, changes)
         self.turner, self.object = turner, turner.object
-        self.axis = np.asarray(axis, float)
+        self.axis = axis_of(turner)
         self.in_grasp = InGraspManipulation(
             hand,
             InGraspManipulationConfig(
@@ -96,7 +91,7 @@ class RegulatedTurning(BatchController):
                 tilt_gain=config.tilt_gain,
             ),
             control_period=period,
-            axis=axis,
+            axis=self.axis,
         )
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
@@ -112,8 +107,8 @@ class RegulatedTurning(BatchController):
         self.in_grasp.load_state_dict(parts["in_grasp"])
 
     def act_batch(self, state: GraspState) -> Floats:
-        pose = [state.object_position, *[state.object_quaternion] * (self.config.tilt_gain > 0)]
-        if any(part is None for part in pose):
+        levels = self.config.tilt_gain > 0
+        if state.object_position is None or (levels and state.object_quaternion is None):
             raise InvalidInput("the state has no pose of the object; expected a tracked object")
         action = self.turner.act(state)
         # as if the set-points were there already: so the lead of both together is limited
