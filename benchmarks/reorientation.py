@@ -33,7 +33,7 @@ from learning.envs.observation import ORIENTATIONS, TURNING
 from learning.evaluation import Subject, evaluate, open_subject
 from learning.policies import Policy
 
-Pose = Literal["tracked", "odometry"]
+Pose = Literal["tracked", "touch", "odometry"]
 AXES = ("x", "-x", "y", "-y", "z", "-z")
 PARTS = ("goals", "axes", "changing", "long")
 CHANGING = "changing"  # what is asked for where one command comes after the other
@@ -77,10 +77,10 @@ class Options(Settings):
     """Kinds of goals; to the root it is from grasps that are sampled all over the object."""
     palms: tuple[str, ...] = ("up", "down", "any")
     """Which way it looks, any: uniform on the sphere, for each episode; down and any for
-    orientations of a cube and uniform ones, where the pose is tracked."""
+    orientations of a cube and uniform ones, where the pose is more than reckoned."""
     starts: int = 200
     """How many grasps are sampled for the way to the root."""
-    poses: tuple[Pose, ...] = ("tracked", "odometry")
+    poses: tuple[Pose, ...] = ("tracked", "touch", "odometry")
     """How the object's pose is known where there are goals."""
     axes: Names = AXES
     """Commanded axes; where a policy is not told of axes, none."""
@@ -164,7 +164,7 @@ def wanted(subject: Subject, given: Options) -> list[Asked]:
             for palm in given.palms
             for pose in given.poses
             for what in given.goals
-            if palm == "up" or (what in GOAL and pose == "tracked")
+            if palm == "up" or (what in GOAL and pose != "odometry")
         ]
     if "long" in given.parts:
         goals += [Asked("cube", given.object, given.long, palm=palm) for palm in given.palms]

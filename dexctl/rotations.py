@@ -15,6 +15,12 @@ def rotate(quaternion: Floats, vector: Floats) -> Floats:
     return vector + w * t + cross(u, t)
 
 
+def rotation_matrix(quaternion: Floats) -> Floats:
+    """The matrices ``(..., 3, 3)`` that turn as ``quaternion`` ``(..., 4)`` does."""
+    crossed = skew(quaternion[..., 1:])
+    return np.eye(3) + 2.0 * (quaternion[..., :1, None] * crossed + crossed @ crossed)
+
+
 def inverse(quaternion: Floats) -> Floats:
     """The inverse of unit quaternions ``(..., 4)``."""
     return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
@@ -72,3 +78,13 @@ def cross(a: Floats, b: Floats) -> Floats:
     out[..., 1] = az * bx - ax * bz
     out[..., 2] = ax * by - ay * bx
     return out
+
+
+def skew(vector: Floats) -> Floats:
+    """The matrices ``(..., 3, 3)`` by which vectors are crossed with ``vector`` ``(..., 3)``."""
+    return (vector @ _SKEW).reshape(*vector.shape, 3)
+
+
+_SKEW = np.zeros((3, 9))
+for _axis, (_row, _column) in enumerate(((2, 1), (0, 2), (1, 0))):
+    _SKEW[_axis, 3 * _row + _column], _SKEW[_axis, 3 * _column + _row] = 1.0, -1.0

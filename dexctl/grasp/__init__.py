@@ -13,6 +13,7 @@ from dexctl.grasp.stable import (
     check_stable,
     check_static,
 )
+from dexctl.grasp.touch_tracking import TouchTracking, TouchTrackingConfig
 
 __all__ = [
     "CONTACT_MODELS",
@@ -21,6 +22,8 @@ __all__ = [
     "HoldsSetPoints",
     "StabilitySolution",
     "StaticStability",
+    "TouchTracking",
+    "TouchTrackingConfig",
     "check_stable",
     "check_static",
     "epsilon_quality",

@@ -31,7 +31,7 @@ class ContactOdometry:
 
     Attributes:
         position: ``(N, 3)`` [m].
-        quaternion: wxyz, relative to the start, ``(N, 4)``.
+        quaternion: wxyz, ``(N, 4)``; relative to the start where that was not told.
     """
 
     def __init__(self, hand: HandModel, control_period: float) -> None:
@@ -104,10 +104,13 @@ class ContactOdometry:
             )
         fill("odometry", self._arrays(), saved)
 
-    def place(self, rows: Bools, position: Floats) -> None:
-        """The objects in ``rows`` are at ``position`` ``(K, 3)``, whatever happened before."""
+    def place(self, rows: Bools, position: Floats, quaternion: Floats | None = None) -> None:
+        """The objects in ``rows`` are there, ``(K, 3)`` [m], whatever happened before.
+
+        ``quaternion`` is ``(K, 4)``; None: what follows is relative to how they are turned now.
+        """
         self.position[rows] = position
-        self.quaternion[rows] = (1.0, 0.0, 0.0, 0.0)
+        self.quaternion[rows] = (1.0, 0.0, 0.0, 0.0) if quaternion is None else quaternion
         self._holding = self._holding & ~rows[:, None]
         self._placed = self._placed | rows
         self._following = False

@@ -11,7 +11,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.joint_touch import JointTouch
 from dexctl.limits import LONGEST_LATENCY
 from dexctl.settings import NESTED
-from dexctl.sim.dead_reckoning import DeadReckoning
+from dexctl.sim.reckoning import Reckoning
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams, StreamsState
 from dexctl.touch import TouchConfig
@@ -19,8 +19,8 @@ from dexctl.validation import check_kind, check_name, check_numbers
 
 Touch = Literal["full", "binary", "joint-torque"]
 TOUCHES: tuple[Touch, ...] = ("full", "binary", "joint-torque")
-Pose = Literal["tracked", "odometry", "unknown"]
-POSES: tuple[Pose, ...] = ("tracked", "odometry", "unknown")
+Pose = Literal["tracked", "touch", "odometry", "unknown"]
+POSES: tuple[Pose, ...] = ("tracked", "touch", "odometry", "unknown")
 
 _SENSED = (
     "q", "in_contact", "contact_position", "contact_normal", "contact_force",
@@ -41,9 +41,9 @@ class Sensing:
     fingertips touch, the rest told from the joints; "joint-torque" the joints alone."""
     joint_touch: Annotated[TouchConfig, NESTED] = field(default_factory=TouchConfig)
     object_pose: Pose = "tracked"
-    """How the object's pose is known: "tracked", as it is; "odometry", as it was at the start of
-    the episode and from then on by what the fingers that hold it feel alone; "unknown", not at
-    all."""
+    """How the object's pose is known: "tracked", as it is; as it was at the start of the episode
+    and from then on by what the fingers feel, "touch" with its shape known (`TouchTracking`),
+    "odometry" without (`ContactOdometry`); "unknown", not at all."""
     joint_offset: float = 0.0
     """Standard deviation of what encoders read at zero, drawn for each joint and episode [rad].
     Servos go by their encoders, so what they hold is off by as much."""
@@ -109,7 +109,7 @@ class Sensor:
         streams: Streams,
         control_period: float,
         joint_touch: JointTouch | None = None,
-        reckoning: DeadReckoning | None = None,
+        reckoning: Reckoning | None = None,
     ) -> None:
         self._sensing, self.streams = sensing, streams
         self._reckoning = reckoning

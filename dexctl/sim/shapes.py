@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Protocol
 
 import mujoco
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from dexctl.exceptions import SimulationError
+from dexctl.sim.objects import add_object
 from dexctl.state import Floats
 
 _BLOCK = 2_000_000  # pairs of point and triangle that are looked at together
@@ -241,6 +243,25 @@ class Shape:
         solid = (model.geom_contype | model.geom_conaffinity) != 0
         return cls(tuple(_part(model, int(geom)) for geom in np.flatnonzero(own & solid)))
 
+    @classmethod
+    def of_object(cls, name: str, width: float, *, mesh: str | Path | None = None) -> Shape:
+        """The shape of an object by name, about its centre of mass.
+
+        Args:
+            name: one of `object_names`, or "mesh" with ``mesh`` the file.
+            width: see `Scene.build`'s ``object_size``; of a mesh the largest extent, or 0 to keep
+                its size [m].
+            mesh: STL or OBJ file.
+
+        Raises:
+            UnknownName, InvalidInput, SimulationError: see `add_object`.
+        """
+        spec = mujoco.MjSpec()
+        body = spec.worldbody.add_body(name="object")
+        friction = (1.0, 0.005, 0.0001)
+        add_object(spec, body, name, width=width, mass=1.0, friction=friction, mesh=mesh)
+        return cls.of_body(spec.compile())
+
     def scaled(self, factor: float) -> Shape:
         """The same shape, ``factor`` times as large."""
         return Shape(tuple((part.scaled(factor), centre * factor) for part, centre in self.parts))
@@ -261,7 +282,7 @@ class Shape:
 
         Exact outside; inside of several parts at once, that to the nearest surface of one.
         """
-        return self._closest(points)[0]
+        return self.closest(points)[0]
 
     def bound(self, points: Floats) -> Floats:
         """As `distance`, but cheap: less than it outside of edges and corners."""
@@ -271,14 +292,15 @@ class Shape:
 
     def normal(self, points: Floats) -> Floats:
         """Outward unit normals ``(..., 3)`` where the surface is nearest to each point."""
-        return self._closest(points)[1]
+        return self.closest(points)[1]
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats]:
         """The nearest points of the surface and the outward normals there, ``(..., 3)`` each."""
-        distance, normal = self._closest(points)
+        distance, normal = self.closest(points)
         return points - distance[..., None] * normal, normal
 
-    def _closest(self, points: Floats) -> tuple[Floats, Floats]:
+    def closest(self, points: Floats) -> tuple[Floats, Floats]:
+        """`distance` and `normal` at once."""
         flat = np.asarray(points, float).reshape(-1, 3)
         distance, normal = np.full(len(flat), np.inf), np.zeros_like(flat)
         for part, centre in self.parts:

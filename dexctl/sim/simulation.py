@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput, SimulationError
 from dexctl.hand import HandModel
 from dexctl.joint_touch import JointTouch
-from dexctl.sim.dead_reckoning import DeadReckoning
 from dexctl.sim.grasp_states import GraspStates, StateSampler
 from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.limited_hand import LimitedHand
 from dexctl.sim.link_weights import LinkWeights
 from dexctl.sim.pushes import Pusher
 from dexctl.sim.randomisation import Drawn, Randomiser, nominal
+from dexctl.sim.reckoning import Reckoning
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.sim.sensing import Sensor
 from dexctl.sim.sized_grasps import SizedGrasps
@@ -99,9 +99,11 @@ class Simulation:
                 self.hand, *servos, how, control_period=self.control_period,
                 weights=LinkWeights(self.hand, scenes[0].model),
             )  # fmt: skip
-        reckoning = None
-        if config.sensing.object_pose == "odometry":
-            reckoning = DeadReckoning(self.hand, count, self.control_period)
+        reckoning, pose = None, config.sensing.object_pose
+        if pose in ("touch", "odometry"):
+            reckoning = Reckoning(
+                self.hand, groups, self.control_period, shapes_known=pose == "touch"
+            )
         self._sensor = Sensor(config.sensing, noise, self.control_period, felt, reckoning)
         self._steps = np.zeros(count, np.int64)
         self._unseen: Bools | None = np.ones(count, bool)  # None: a control step has passed in all

@@ -80,8 +80,10 @@ def test_nothing_may_be_known_of_the_pose() -> None:
         assert simulation.state.object_position is not None
 
 
-def test_an_episode_that_begins_changes_no_other() -> None:
-    with Simulation(scene(), 3) as simulation, Simulation(scene(), 3) as other:
+@pytest.mark.parametrize("pose", ["touch", "odometry"])
+def test_an_episode_that_begins_changes_no_other(pose: str) -> None:
+    own = scene(object_pose=pose)
+    with Simulation(own, 3) as simulation, Simulation(own, 3) as other:
         for one in (simulation, other):
             turn(one, 10)
         simulation.reset(None, np.array([False, True, False]))
@@ -95,8 +97,9 @@ def test_an_episode_that_begins_changes_no_other() -> None:
         np.testing.assert_array_equal(a.object_quaternion[[0, 2]], b.object_quaternion[[0, 2]])
 
 
-def test_it_goes_on_to_the_bit_where_it_was_saved() -> None:
-    with Simulation(scene(joint_noise=0.01), 2) as simulation:
+@pytest.mark.parametrize("pose", ["touch", "odometry"])
+def test_it_goes_on_to_the_bit_where_it_was_saved(pose: str) -> None:
+    with Simulation(scene(joint_noise=0.01, object_pose=pose), 2) as simulation:
         turn(simulation, 5)
         saved = simulation.save()
         turn(simulation, 5)
@@ -104,3 +107,46 @@ def test_it_goes_on_to_the_bit_where_it_was_saved() -> None:
         simulation.restore(saved)
         turn(simulation, 5)
         np.testing.assert_array_equal(simulation.read().object_quaternion, expected)
+
+
+def turn_by(name: str, simulation: Simulation, seconds: float, axis: tuple | None = None) -> None:
+    controller = controllers.resolve(name, simulation.hand, axis=axis)
+    for _ in range(round(seconds / simulation.control_period)):
+        state = simulation.read()
+        simulation.write(state.q_target + controller.act(state))
+        simulation.step()
+
+
+def test_a_known_shape_tells_how_it_is_turned_where_odometry_is_lost() -> None:
+    """A learned gait, which lets contacts slip as it likes, turns a cube for ten seconds."""
+    away = {}
+    for pose in ("odometry", "touch"):
+        with Simulation(scene(object="cube", object_pose=pose), 4) as simulation:
+            start = simulation.state
+            turn_by("dex5-cube-x", simulation, 10.0, (1, 0, 0))
+            seen, there = simulation.read(), simulation.state
+            assert (off(there, start) > 0.3).all()
+            away[pose] = off(seen, there), seen.object_centre() - there.object_centre()
+    assert away["touch"][0].max() < 0.25 < 0.5 < np.median(away["odometry"][0])
+    assert np.abs(away["touch"][1]).max() < 0.015
+
+
+def test_every_object_is_found_by_its_own_shape() -> None:
+    objects = ("cube", "l_shape")
+    with Simulation(scene(object=objects, object_pose="touch"), 4) as simulation:
+        turn_by("dex5-nine", simulation, 5.0)
+        assert simulation.objects == ("cube", "cube", "l_shape", "l_shape")
+        assert off(simulation.read(), simulation.state).max() < 0.25
+
+
+@pytest.mark.parametrize("pose", ["touch", "odometry"])
+def test_what_was_read_stays_as_it_was(pose: str) -> None:
+    with Simulation(scene(object_pose=pose), 2) as simulation:
+        turn(simulation, 5)
+        seen = simulation.read()
+        assert seen.object_position is not None and seen.object_quaternion is not None
+        before = seen.object_position.copy(), seen.object_quaternion.copy()
+        simulation.reset(None, np.array([True, False]))
+        simulation.read()
+        np.testing.assert_array_equal(seen.object_position, before[0])
+        np.testing.assert_array_equal(seen.object_quaternion, before[1])
