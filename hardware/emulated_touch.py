@@ -58,5 +58,13 @@ class EmulatedTactile:
             self._most_age,
         )
 
+    def object_pose(self) -> tuple[Floats, Floats] | None:
+        """Where the object is now, ``(3,)`` [m] and wxyz ``(4,)``; None: there is none."""
+        self.read()
+        if not self.truth:
+            return None
+        position, quaternion = self.truth["object_position"], self.truth["object_quaternion"]
+        return np.asarray(position, float), np.asarray(quaternion, float)
+
     def close(self) -> None:
         """Nothing to let go of: the emulator is its starter's."""

@@ -106,8 +106,8 @@ def object_turn(log: Log) -> tuple[Floats, Bools] | None:
     """How far the object is turned about z, and whether it is held, at each tick.
 
     ``(T,)`` [rad] since the first tick, and ``(T,)`` bool: False once the object is farther from
-    where it began than `dexctl.sim.trial.DROP_DISTANCE`; from there on the angle stands still. None
-    where nothing tracks the object, as on a real hand.
+    where it began than `dexctl.sim.trial.DROP_DISTANCE`; from there on the angle stands still. On a
+    real hand it is as the controller tracked it by touch (`TrackedByTouch`); None where it did not.
     """
     from dexctl.sim.trial import DROP_DISTANCE, rotation_about
 
@@ -116,7 +116,32 @@ def object_turn(log: Log) -> tuple[Floats, Bools] | None:
     quaternion = log.ticks.get("object_quaternion", none)
     for values, size in ((position, 3), (quaternion, 4)):
         if values.dtype == object or values.shape[1:] != (size,):
-            return None
+            tracked = _tracked(log)
+            if tracked is None:
+                return None
+            position, quaternion = tracked
+            break
     away = np.linalg.norm(position - position[0], axis=1)
     held = np.logical_and.accumulate(away <= DROP_DISTANCE)
     return rotation_about(quaternion, held=held), held
+
+
+def _tracked(log: Log) -> tuple[Floats, Floats] | None:
+    """Where the controller's tracking had the object, at each tick; as last where it is silent."""
+    found = {}
+    for i, said in enumerate(log.ticks.get("diagnostics", ())):
+        if isinstance(said, Mapping):
+            pose = (said.get("tracked_position"), said.get("tracked_quaternion"))
+            if _finite(pose[0], 3) and _finite(pose[1], 4):
+                found[i] = pose
+    if not found:
+        return None
+    last = np.searchsorted(list(found), np.arange(len(log.ticks["time"])), side="right") - 1
+    position, quaternion = (np.array(one, float) for one in zip(*found.values(), strict=True))
+    return position[np.maximum(last, 0)], quaternion[np.maximum(last, 0)]
+
+
+def _finite(value: object, size: int) -> bool:
+    """Whether it is a list of so many finite numbers."""
+    numbers = isinstance(value, list) and all(type(one) in (int, float) for one in value)
+    return numbers and len(value) == size and bool(np.isfinite(value).all())

@@ -20,7 +20,7 @@ HOLDING = SceneConfig(
     stiffness=3.0,
     damping=0.15,
     disturbance=0.0,
-    sensing=Sensing(touch_threshold=TRUSTED_FORCE),
+    sensing=Sensing(touch_threshold=TRUSTED_FORCE, object_pose="unknown"),
     limits=HandLimits(speed_limit=REAL_SPEED, torque_limit=REAL_TORQUE),
 )
 """The hand of the thesis on servos, with an object in it; its latency is what the servos have."""
@@ -35,12 +35,15 @@ HELP = {
 }
 """What of the gains is another thing on servos than in the simulator."""
 
+POSES = ("unknown", "touch")
+"""How the object's pose can be known on servos: nothing tracks it there but its controller."""
+
 CLOCK = ("control_period", "substeps")
 """Settings that a servo hand does not have: its control period is the controller's."""
 OF_A_REAL_HAND = (
     "hand", "object", "object_size", "object_mass", "object_mesh", "gravity", "stiffness",
     "damping", "sensing.touch", *(f"sensing.joint_touch.{one.name}" for one in fields(TouchConfig)),
-    "sensing.touch_threshold", "limits.speed_limit", "limits.torque_limit",
+    "sensing.touch_threshold", "sensing.object_pose", "limits.speed_limit", "limits.torque_limit",
 )  # fmt: skip
 """Settings that count on a real hand too; those of the object say how to grasp it."""
 OF_AN_OBJECT = (

@@ -12,6 +12,7 @@ from dexctl.gait.regulated import (
 from dexctl.gait.sequence import GoalSequence, GoalSequenceChanges, GoalSequenceConfig
 from dexctl.gait.steering import GoalSteering, GoalSteeringChanges, GoalSteeringConfig
 from dexctl.gait.thesis import FingerGaiting, FingerGaitingChanges, FingerGaitingConfig
+from dexctl.gait.tracked import TrackedByTouch
 
 __all__ = [
     "CommandedTurning",
@@ -35,4 +36,5 @@ __all__ = [
     "RegulatedTurning",
     "RegulatedTurningChanges",
     "RegulatedTurningConfig",
+    "TrackedByTouch",
 ]

@@ -166,6 +166,9 @@ class _Hull:
         first = height.argmax(axis=0)
         distance, normal = height[first, np.arange(len(points))], normals[first]
         out = np.flatnonzero(distance > 1e-9)
+        # over a face it is that face's plane; over edges and corners all triangles are looked at
+        foot = points[out] - distance[out, None] * normal[out]
+        out = out[(normals @ foot.T + offsets[:, None]).max(axis=0) > 1e-12]
         away = points[out] - self._nearest(points[out])
         distance[out] = np.linalg.norm(away, axis=-1)
         normal[out] = _unit(away, normal[out])

@@ -52,6 +52,7 @@ class Session(NamedTuple):
         emulator: None on a real hand.
         tactile: what fingertips or an emulator say, or None.
         grasp: set-points of a grasp around the object, ``(d,)`` [rad], or None.
+        object_pose: where the object is in that grasp, ``(3,)`` [m] and wxyz ``(4,)``, or None.
     """
 
     model: HandModel
@@ -60,6 +61,7 @@ class Session(NamedTuple):
     emulator: Emulator | None
     tactile: TactileSource | None
     grasp: Floats | None
+    object_pose: tuple[Floats, Floats] | None
 
 
 @dataclass(kw_only=True)
@@ -235,7 +237,7 @@ class HandOptions:
         gains = self.gains(limits, model)
         trusted = self.scene.sensing.touch_threshold
         with ExitStack() as stack:
-            emulator, source, grasp = None, None, None
+            emulator, source, grasp, pose = None, None, None, None
             if self.emulate:
                 emulator = stack.enter_context(
                     emulate(
@@ -246,8 +248,9 @@ class HandOptions:
                 grasp = None if found is None else np.array(found)
                 if held is not None:
                     source = EmulatedTactile(emulator, trusted_force=trusted)
+                    pose = source.object_pose()
             elif held is not None and held.object != (NOTHING,):
-                grasp = _grasp(held, model, gains)
+                grasp, pose = _grasp(held, model, gains)
             if tactile is not None and not self.emulate:
                 source = SerialTactile(tactile, model.n_fingers, trusted_force=trusted)
                 stack.callback(source.close)
@@ -282,16 +285,19 @@ class HandOptions:
                 gravity=None if held is None else held.gravity,
                 control_period=control_period,
             )
-            yield Session(model, bus, hand, emulator, source, grasp)
+            yield Session(model, bus, hand, emulator, source, grasp, pose)
 
 
-def _grasp(held: SceneConfig, model: HandModel, gains: list[SimGains]) -> Floats:
-    """Set-points ``(d,)`` [rad] of the grasp that servos with these gains settle in."""
+def _grasp(
+    held: SceneConfig, model: HandModel, gains: list[SimGains]
+) -> tuple[Floats, tuple[Floats, Floats]]:
+    """The grasp that servos with these gains settle in; see `Session`."""
     from dexctl.sim.parameters import set_on
 
     (scene,) = replace(held, stiffness=None, damping=None).scenes(model)
     set_on(scene, {"kp": [[one.kp for one in gains]], "kv": [[one.kv for one in gains]]})
-    return scene.settled.q_target.copy()
+    pose = scene.settled.qpos[scene.object_qpos].copy()
+    return scene.settled.q_target.copy(), (pose[:3], pose[3:])
 
 
 def flags(settings: Iterable[str]) -> str:
@@ -308,6 +314,8 @@ def emulate(
     models: tuple[str, ...] = (XM430_W210.name,),
 ) -> Emulator:
     """Emulated servos of these models that are mounted as ``calibration`` says."""
+    # its own sensors need no pose: who tracks the object is on this side of the bus
+    scene = replace(scene, sensing=replace(scene.sensing, object_pose="tracked"))
     zeros = np.round(calibration.zero / (2 * np.pi / 4096)).astype(int) % 4096
     middle = np.clip(0.0, calibration.lower, calibration.upper)
     return Emulator(

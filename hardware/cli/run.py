@@ -18,9 +18,11 @@ from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
+from dexctl.gait import TrackedByTouch
 from dexctl.hands.identity import identity
 from dexctl.settings import absolute, only, to_plain
 from dexctl.sim.scene_config import SceneConfig
+from dexctl.state import Floats
 from dexctl.validation import check_name
 from hardware import report
 from hardware.calibration import Calibration
@@ -31,7 +33,7 @@ from hardware.log import LogWriter, read_log
 from hardware.motions import Chirp, Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
-from hardware.scene import ASKED, AUTO, CLOCK, HELP, HOLDING, NOTHING, OF_AN_OBJECT
+from hardware.scene import ASKED, AUTO, CLOCK, HELP, HOLDING, NOTHING, OF_AN_OBJECT, POSES
 from hardware.state_machine import Event, State
 
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
@@ -90,8 +92,13 @@ class Run(HandOptions):
                 f"--touch is joint-torque and --tactile {self.tactile}; expected one of them, or "
                 "--touch binary"
             )
+        pose = self.scene.sensing.object_pose
+        check_name("object_pose", pose, POSES)
+        if pose == "touch" and (blind or held.object == (NOTHING,)):
+            what = self.controller if blind else "the empty hand"
+            raise InvalidInput(f"--object-pose is touch; {what} has no object that is touched")
         model, calibration = self.load()
-        controller = make_controller(self.controller, model, asked)
+        controller = make_controller(self.controller, model, asked, tracked=pose == "touch")
         period = controller.control_period
         folder = make_folder(self.out)
         keep_earlier(folder)
@@ -101,6 +108,8 @@ class Run(HandOptions):
             )
             log = stack.enter_context(LogWriter(folder / LOG))
             log.write("/run", self._about(model, calibration, limits, held, period))
+            if session.object_pose is not None and pose == "touch":
+                controller = tracked_by_touch(controller, held, session.object_pose)
             runner = Runner(
                 session.hand,
                 controller,
@@ -207,13 +216,28 @@ def fingers_of(model: HandModel) -> list[int]:
     return model.moves.argmax(axis=0).tolist()
 
 
-def make_controller(name: str, model: HandModel, rate: float | None = None) -> Controller:
+def tracked_by_touch(
+    controller: Controller, held: SceneConfig, pose: tuple[Floats, Floats]
+) -> TrackedByTouch:
+    """The controller, told where the object of ``held`` is from ``pose`` on."""
+    from dexctl.sim.shapes import Shape
+
+    hand = controller.hand
+    (scene,) = replace(held, stiffness=None, damping=None).scenes(hand)
+    shape = Shape.of_body(scene.model, scene.object_body)
+    return TrackedByTouch(hand, controller, shape, position=pose[0], quaternion=pose[1])
+
+
+def make_controller(
+    name: str, model: HandModel, rate: float | None = None, *, tracked: bool = False
+) -> Controller:
     """The controller ``name``, and with it the rate of the run.
 
     Args:
         name: what `dexctl.controllers.resolve` takes, "sine" or "chirp".
         model: the hand.
         rate: [Hz]; None is 50, and for a controller that was made for another rate, that one.
+        tracked: whether the object's pose is known.
 
     Raises:
         UnknownName: no such controller.
@@ -223,10 +247,10 @@ def make_controller(name: str, model: HandModel, rate: float | None = None) -> C
         return _MOTIONS[name](model, control_period=PERIOD if rate is None else 1.0 / rate)
     period = _usual_period(name) if rate is None else 1.0 / rate
     made = controllers.resolve(name, model, control_period=period)
-    if made.tracks:
+    if made.tracks and not tracked:
         raise InvalidInput(
-            f"{name} needs the object's pose, and nothing tracks it here; expected a controller "
-            "that does without"
+            f"{name} needs the object's pose, and nothing tracks it here; expected --object-pose "
+            "touch, or a controller that does without"
         )
     if rate is not None and not np.isclose(made.control_period * rate, 1.0):
         raise InvalidInput(f"--rate is {rate:g}; {name} runs at {1.0 / made.control_period:g} Hz")

@@ -18,10 +18,11 @@ from dexctl.gait import (
     GoalSequence,
     GoalSteering,
     RegulatedTurning,
+    TrackedByTouch,
 )
 from dexctl.igm import InGraspManipulationConfig
 from dexctl.planning import Kinematic, PlannedGait, Tree, grow
-from dexctl.sim import BatchSimulator, Scene
+from dexctl.sim import BatchSimulator, Scene, Shape
 from dexctl.switch import GuardedSwitchConfig
 
 
@@ -54,6 +55,12 @@ CONTROLLERS: dict[str, Callable[..., Controller]] = {
     ),
     "gait, regulated": lambda hand, **settings: RegulatedTurning(
         hand, turner=CoordinatedGait(hand, least_travel=0.0, **settings)
+    ),
+    "gait, tracked by touch": lambda hand, **settings: TrackedByTouch(
+        hand,
+        CoordinatedGait(hand, least_travel=0.0, **settings),
+        Shape.of_object("cylinder", 0.1),
+        position=(0.0, 0.0, 0.13),
     ),
     "gait, planned": lambda hand, **settings: CoordinatedGait(
         hand, least_travel=0.0, switch=GuardedSwitchConfig(path="planned"), **settings

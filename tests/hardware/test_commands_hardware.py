@@ -12,6 +12,7 @@ import pytest
 import dexctl
 from dexctl.cli import commands, main
 from dexctl.exceptions import InvalidInput
+from dexctl.rotations import angle_between
 from hardware.bus import Bus
 from hardware.calibration import Calibration
 from hardware.cli.calibrate import _EmulatedPerson, from_poses, odd_travels
@@ -85,6 +86,16 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["run", "hold", "--emulate", "--object", "pear"], "unknown object 'pear'"),
         (["run", "sine", "--emulate", "--patience", "0"], "patience is 0.0"),
         (["run", "sine", "--emulate", "--stiffness", "-1"], "stiffness is -1.0"),
+        (
+            ["run", "igm", "--emulate", "--object-pose", "tracked"],
+            "unknown object_pose 'tracked'; known: unknown, touch",
+        ),
+        (["run", "hold", "--emulate", "--object-pose", "touch"], "hold has no object that is"),
+        (
+            ["run", "igm", "--emulate", "--object", "none", "--object-pose", "touch"],
+            "the empty hand has no object that is touched",
+        ),
+        (["run", "regulated:igm", "--emulate"], "expected --object-pose touch, or a controller"),
         (["check", "--hand", "claw"], "unknown hand 'claw'"),
         (["check", "--calibration", "none.toml"], "none.toml is no calibration file"),
         (["check", "--emulate", "--reboot", "300"], "--reboot is 300"),
@@ -220,6 +231,26 @@ def test_in_grasp_manipulation_turns_the_object(
     # the bare simulator turns it by 0.9 to 2.1 rad before a limit or a lost contact
     assert said["figures"]["rotation_rad"] > 0.5
     assert "Touch" in (tmp_path / "report.html").read_text()
+
+
+@real_time
+def test_an_object_is_tracked_by_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Over the bus, where the emulator alone knows where it is."""
+    words = ["run", "regulated:coordinated", "--object", "cube", "--object-pose", "touch"]
+    words += ["--seconds", "5", "--json", "--out", str(tmp_path)]
+    assert main(["hardware", *words, *PATIENT]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["outcome"], said["torque"]) == ("idle", "off")
+    log = read_log(tmp_path / "run.mcap")
+    assert log.run["scene"]["sensing"]["object_pose"] == "touch"
+    told = [one for one in log.ticks["diagnostics"] if "tracked_position" in one]
+    rows = [i for i, one in enumerate(log.ticks["diagnostics"]) if "tracked_position" in one]
+    assert len(rows) > 50
+    place = np.array([one["tracked_position"] for one in told])
+    turn = np.array([one["tracked_quaternion"] for one in told])
+    # the truth is of the tick's beginning, what is tracked of the controller's answer to the last
+    assert np.abs(place - log.ticks["object_position"][rows]).max() < 0.01
+    assert angle_between(turn, log.ticks["object_quaternion"][rows]).max() < 0.15
 
 
 @real_time

@@ -140,9 +140,9 @@ def test_a_real_hand_goes_to_the_grasp_of_its_own_gains(weak: str) -> None:
     asked = options(weak)
     gains = asked.gains(asked.limits(), model)
     scene = replace(HOLDING, hand=weak, object=("cube",), stiffness=None, damping=None)
-    soft = _grasp(scene, model, gains)
+    soft = _grasp(scene, model, gains)[0]
     np.testing.assert_allclose(soft, scene.scenes(model)[0].settled.q_target)  # toml says it all
-    stiff = _grasp(scene, model, [one._replace(kp=4.0) for one in gains])
+    stiff = _grasp(scene, model, [one._replace(kp=4.0) for one in gains])[0]
     assert np.abs(stiff - soft).max() > 0.01
 
 

@@ -26,8 +26,10 @@ def twenty(hand: dexctl.HandModel, control_period: float) -> dexctl.Controller:
 
 @pytest.mark.usefixtures("learned")
 def test_one_that_needs_the_objects_pose(dex5: dexctl.HandModel) -> None:
-    with pytest.raises(InvalidInput, match="regulated:coordinated needs the object's pose"):
+    wanted = "regulated:coordinated needs the object's pose, .* expected --object-pose touch, or"
+    with pytest.raises(InvalidInput, match=wanted):
         make_controller("regulated:coordinated", dex5)
+    assert make_controller("regulated:coordinated", dex5, tracked=True).tracks
 
 
 def test_the_rate_is_the_controllers(dex5: dexctl.HandModel) -> None:
@@ -83,6 +85,40 @@ def test_rotation_is_counted_until_the_object_is_lost(tmp_path: Path) -> None:
     assert figures_of_merit(found)["object_lost_at_s"] == pytest.approx(1.5)
     assert ("object lost at", "1.5 s") in in_words(figures_of_merit(found))
     assert "object lost at" in build(found)
+
+
+def test_a_real_hand_has_what_was_tracked_by_touch(tmp_path: Path) -> None:
+    """Before the controller starts nothing is tracked, and a damaged tick says nothing."""
+    pytest.importorskip("mcap", reason="needs the extra 'hardware'")
+    angle = [None, 0.0, 0.1, "torn", 0.3]
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for i, one in enumerate(angle):
+            half = 0.5 * one if isinstance(one, float) else 0.0
+            told = {
+                "tracked_position": [0.0, 0.0, 0.13],
+                "tracked_quaternion": [
+                    np.cos(half),
+                    0.0,
+                    0.0,
+                    one if one == "torn" else np.sin(half),
+                ],
+            }
+            log.write(
+                "/tick",
+                {
+                    "time": 0.5 * i,
+                    "state": "run",
+                    **{key: [0.0, 0.0] for key in ("q", "q_target", "torque")},
+                    "fresh": [True, True],
+                    "in_contact": [True],
+                    "contact_force": [2.0],
+                    "lateness": 0.0,
+                    "diagnostics": {} if one is None else told,
+                },
+            )
+    figures = figures_of_merit(read_log(tmp_path / "a.mcap"))
+    assert figures["rotation_rad"] == pytest.approx(0.3)
+    assert "object_lost_at_s" not in figures
 
 
 def test_a_busy_machine_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
