@@ -29,6 +29,7 @@ HEADINGS = {
     "in_grasp": "In-grasp manipulation",
     "reach": "The end of the reach",
     "touch": "Without touch sensors",
+    "touch_tracking": "Tracked by touch",
     "gaits": "Gaits",
     "gaits_long": "Gaits for ten minutes",
     "learned": "Learned gaits",

@@ -26,6 +26,9 @@ RUNS: dict[str, list[str]] = {
     "in_grasp.py": SHORT,
     "reach.py": [*SHORT, "--objects", "cylinder"],
     "touch.py": [*SHORT, "--objects", "cylinder"],
+    "touch_tracking.py": [
+        *(*SHORT, "--objects", "cylinder", "--steps", "3", "--rounds", "1", "--hands", "2"),
+    ],
     "planning.py": [
         *("--seeds", "1", "--slow-seeds", "1", "--objects", "cylinder", "--hard", "cylinder"),
         *("--parts", "kinematic", "large", "random", "literal", "sampling", "--limit", "0.2"),
@@ -113,6 +116,7 @@ LONGER = {  # than five seconds of processor, however little they are asked for
 FIRST_SEEDS = {  # of those that do not begin with 0
     "gaits_long": 100,
     "predictive_sampling": 100,
+    "touch_tracking": 1000,
     "conditions": 20_000,
     "hands_learned": 20_000,
     "ranges": 30_000,
