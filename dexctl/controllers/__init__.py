@@ -11,7 +11,7 @@ A controller that needs a file, or another controller, has it after its name: ``
 pace there, where it is to go slower than it was trained to: ``dex5-robust@0.8``.
 """
 
-from dexctl.controllers.composed import commanded, regulated, sequence, steered
+from dexctl.controllers.composed import centred, commanded, regulated, sequence, steered
 from dexctl.controllers.hold import Hold
 from dexctl.controllers.making import make, other_object, resolve
 from dexctl.controllers.table import GROUP, POLICIES, ControllerEntry, entry, is_named, names
@@ -23,6 +23,7 @@ __all__ = [
     "ControllerEntry",
     "Hold",
     "absolute",
+    "centred",
     "commanded",
     "entry",
     "is_named",

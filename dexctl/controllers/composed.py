@@ -64,6 +64,14 @@ def regulated(
     return RegulatedTurning(hand, turner=found, **changes)
 
 
+def centred(hand: HandModel, *, height_gain: float = 0.0, **options: Any) -> Controller:
+    """The controller of the name "centred": as `regulated`, without the height.
+
+    Touch tells how high an object is less surely than all else of its pose.
+    """
+    return regulated(hand, height_gain=height_gain, **options)
+
+
 def sequence(
     hand: HandModel,
     *,

@@ -125,6 +125,17 @@ _CONTROLLERS = {
             follows=(),
         ),
         ControllerEntry(
+            name="centred",
+            title="centred turning",
+            description="as regulated:NAME, without the height: for a pose told by touch",
+            module="dexctl.controllers",
+            attribute="centred",
+            keyword="turner",
+            wanted="NAME",
+            others=True,
+            follows=(),
+        ),
+        ControllerEntry(
             name="sequence",
             title="sequence to a goal",
             description="has two controllers, sequence:ABOUT,ACROSS, turn the object to a goal",

@@ -150,6 +150,9 @@ def test_by_name_with_a_pace_and_in_others(cylinder: Scene) -> None:
     np.testing.assert_array_equal(gait.axis, [0, 0, -1])
     assert gait.config.tilt_gain == 1
     assert gait.tracks
+    centred = controllers.resolve("centred:dex5-easy-any@0.8", hand)
+    assert isinstance(centred, RegulatedTurning)
+    assert (centred.config.height_gain, centred.config.centring_gain) == (0.0, 0.5)
     assert not gait.turner.tracks
     assert GoalSteering(hand, turner=gait).tracks
     assert CommandedTurning(hand, [gait.turner, gait]).tracks
