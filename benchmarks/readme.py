@@ -41,6 +41,7 @@ HEADINGS = {
     "algorithms": "Algorithms and their peers",
     "hardware_grasp": "Simulator and servo bus",
     "servo_hand": "The emulated servo hand",
+    "servo_goals": "Goals on the emulated servo hand",
     "hardware_loop": "Runner of the servo hand",
     "bus": "Servo bus",
     "hands": "Grasps of other hands",

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
+from dexctl.rotations import angle_between
 from dexctl.state import Bools, Floats
 from hardware.log import Log
 
@@ -23,8 +24,12 @@ _WORDS = {
     "mean_contacts": ("fingertips in touch, mean", "", 1.0),
     "rotation_rad": ("object's turn about z", "rad", 1.0),
     "object_lost_at_s": ("object lost at", "s", 1.0),
+    "goal_reached_at_s": ("less than 0.2 rad from the goal at", "s", 1.0),
+    "left_to_goal_rad": ("left to the goal at the end", "rad", 1.0),
 }
 """Of each figure: what people read, unit, and how many of the unit are 1 of the figure's own."""
+GOAL_ANGLE = 0.2
+"""Angle to the goal within which the object is there [rad]."""
 
 
 _OUTCOMES = {
@@ -70,6 +75,11 @@ def figures_of_merit(log: Log) -> dict[str, float]:
         found["rotation_rad"] = float(angle[-1])
         if not held[-1]:
             found["object_lost_at_s"] = float(time[held.sum()])
+    left = left_to_goal(log)
+    if left is not None:
+        found["left_to_goal_rad"] = float(left[-1])
+        if (left < GOAL_ANGLE).any():
+            found["goal_reached_at_s"] = float(time[np.argmax(left < GOAL_ANGLE)])
     return found
 
 
@@ -111,19 +121,32 @@ def object_turn(log: Log) -> tuple[Floats, Bools] | None:
     """
     from dexctl.sim.trial import DROP_DISTANCE, rotation_about
 
+    pose = _object_pose(log)
+    if pose is None:
+        return None
+    position, quaternion = pose
+    away = np.linalg.norm(position - position[0], axis=1)
+    held = np.logical_and.accumulate(away <= DROP_DISTANCE)
+    return rotation_about(quaternion, held=held), held
+
+
+def left_to_goal(log: Log) -> Floats | None:
+    """The angle to the run's goal orientation at each tick, ``(T,)`` [rad]; None without one."""
+    goal, pose = log.run.get("goal_quaternion"), _object_pose(log)
+    if pose is None or not _finite(goal, 4):
+        return None
+    return angle_between(pose[1], np.array(goal, float))
+
+
+def _object_pose(log: Log) -> tuple[Floats, Floats] | None:
+    """Where the object is at each tick, as the emulator knows or the controller tracked it."""
     none = np.empty(0)
     position = log.ticks.get("object_position", none)
     quaternion = log.ticks.get("object_quaternion", none)
     for values, size in ((position, 3), (quaternion, 4)):
         if values.dtype == object or values.shape[1:] != (size,):
-            tracked = _tracked(log)
-            if tracked is None:
-                return None
-            position, quaternion = tracked
-            break
-    away = np.linalg.norm(position - position[0], axis=1)
-    held = np.logical_and.accumulate(away <= DROP_DISTANCE)
-    return rotation_about(quaternion, held=held), held
+            return _tracked(log)
+    return position, quaternion
 
 
 def _tracked(log: Log) -> tuple[Floats, Floats] | None:
@@ -143,5 +166,6 @@ def _tracked(log: Log) -> tuple[Floats, Floats] | None:
 
 def _finite(value: object, size: int) -> bool:
     """Whether it is a list of so many finite numbers."""
-    numbers = isinstance(value, list) and all(type(one) in (int, float) for one in value)
-    return numbers and len(value) == size and bool(np.isfinite(value).all())
+    if not isinstance(value, list) or any(type(one) not in (int, float) for one in value):
+        return False
+    return len(value) == size and bool(np.isfinite(value).all())

@@ -21,7 +21,14 @@ from dexctl.report.style import (
     new_figure,
 )
 from dexctl.state import Floats
-from hardware.figures import figures_of_merit, in_full, in_words, object_turn
+from hardware.figures import (
+    GOAL_ANGLE,
+    figures_of_merit,
+    in_full,
+    in_words,
+    left_to_goal,
+    object_turn,
+)
 from hardware.findings import findings, joint_names, span, torque_limits, touch_thresholds
 from hardware.log import Log, limits_of, of_joints
 
@@ -262,14 +269,22 @@ def _turn(log: Log) -> str:
     if turn is None:
         return ""
     angle, held = turn
+    left = left_to_goal(log)
     figure = new_figure(_WIDTH, 2.2)
-    axes = figure.subplots()
-    axes.plot(log.ticks["time"][held], angle[held])
-    axes.set(xlabel="time [s]", ylabel="object's turn about z [rad]")
-    _shade(axes, log)
-    return html.plot(
-        figure, "the object's turn over time", "Known in simulation only, until it is lost."
-    )
+    plots = [(angle, "object's turn about z [rad]")]
+    if left is not None:
+        plots.append((left, "left to the goal [rad]"))
+    for axes, (values, label) in zip(
+        figure.subplots(1, len(plots), squeeze=False)[0], plots, strict=True
+    ):
+        axes.plot(log.ticks["time"][held], values[held])
+        axes.set(xlabel="time [s]", ylabel=label)
+        _shade(axes, log)
+    if left is not None:
+        axes.axhline(GOAL_ANGLE, color=GRID)
+        axes.set_ylim(bottom=0.0)
+    whose = "As the emulator knows it" if log.run.get("emulated") else "As it was tracked by touch"
+    return html.plot(figure, "the object's turn over time", f"{whose}, until it is lost.")
 
 
 def _clock(log: Log) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,10 +29,13 @@ class TrackedByTouch(BatchController):
         surface: of the object, such as a `dexctl.sim.Shape`.
         position, quaternion: where the object is at the first call after a reset, ``(3,)`` [m] and
             wxyz ``(4,)``.
+        goal: orientation that the object is wanted in, wxyz ``(4,)``, where a state tells none;
+            None: no goal.
         config: settings of the tracking; None: `TouchTrackingConfig`'s own.
 
     Attributes:
         tracking: the filter.
+        goal: as given.
 
     Raises:
         InvalidInput: a setting is wrong, or the controller is none of this hand.
@@ -45,6 +49,7 @@ class TrackedByTouch(BatchController):
         *,
         position: ArrayLike,
         quaternion: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        goal: ArrayLike | None = None,
         config: TouchTrackingConfig | None = None,
     ) -> None:
         period = check_parts(hand, {"the controller": controller})
@@ -53,6 +58,7 @@ class TrackedByTouch(BatchController):
         self.tracking = TouchTracking(hand, surface, config, control_period=period)
         self._position = check_vector("position", position, 3, "three finite numbers [m]")
         self._quaternion = unit_quaternion("quaternion", quaternion)
+        self.goal = None if goal is None else unit_quaternion("goal", goal)
         self._start(0)
 
     def _start(self, count: int) -> None:
@@ -90,6 +96,8 @@ class TrackedByTouch(BatchController):
             self.tracking.place(new, self._position, self._quaternion)
             self._placed = np.ones_like(self._placed)
         tracked = self.tracking.track(state)
+        if tracked.goal_quaternion is None and self.goal is not None:
+            tracked = replace(tracked, goal_quaternion=np.tile(self.goal, (len(state.q), 1)))
         action = self.controller.act(tracked)
         self._diagnostics = {
             **self.controller.diagnostics,

@@ -20,10 +20,11 @@ from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
 from dexctl.gait import TrackedByTouch
 from dexctl.hands.identity import identity
+from dexctl.rotations import multiply
 from dexctl.settings import absolute, only, to_plain
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
-from dexctl.validation import check_name
+from dexctl.validation import check_name, unit_quaternion
 from hardware import report
 from hardware.calibration import Calibration
 from hardware.cli.options import HandOptions, Session, busy, flags, teller
@@ -36,6 +37,7 @@ from hardware.runner import Runner
 from hardware.scene import ASKED, AUTO, CLOCK, HELP, HOLDING, NOTHING, OF_AN_OBJECT, POSES
 from hardware.state_machine import Event, State
 
+Quaternion = tuple[float, float, float, float]
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
 _HELD = replace(ASKED, object=(AUTO,))
 _SETTINGS = tuple(name for name in SceneConfig.__dataclass_fields__ if name not in CLOCK)
@@ -68,6 +70,9 @@ class Run(HandOptions):
     joint-torque. With --touch binary only whether they touch is taken from them."""
     seed: int = 0
     """Seed of the random numbers of the controller, and of an emulated scene."""
+    goal: Quaternion | None = None
+    """Turn from how the object is in the grasp to how it is wanted, in the hand's frame: a
+    quaternion w x y z; none: no goal."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html; those of an earlier run are renamed, not replaced."""
     json: Switch = False
@@ -97,6 +102,8 @@ class Run(HandOptions):
         if pose == "touch" and (blind or held.object == (NOTHING,)):
             what = self.controller if blind else "the empty hand"
             raise InvalidInput(f"--object-pose is touch; {what} has no object that is touched")
+        if self.goal is not None:
+            check_goal(self.controller, self.goal, pose)
         model, calibration = self.load()
         controller = make_controller(self.controller, model, asked, tracked=pose == "touch")
         period = controller.control_period
@@ -107,9 +114,12 @@ class Run(HandOptions):
                 self.open(limits, period, held=held, tactile=self.tactile, seed=self.seed)
             )
             log = stack.enter_context(LogWriter(folder / LOG))
-            log.write("/run", self._about(model, calibration, limits, held, period))
+            about_it = self._about(model, calibration, limits, held, period)
             if session.object_pose is not None and pose == "touch":
-                controller = tracked_by_touch(controller, held, session.object_pose)
+                controller = tracked_by_touch(controller, held, session.object_pose, self.goal)
+                if controller.goal is not None:
+                    about_it["goal_quaternion"] = controller.goal.tolist()
+            log.write("/run", about_it)
             runner = Runner(
                 session.hand,
                 controller,
@@ -216,16 +226,36 @@ def fingers_of(model: HandModel) -> list[int]:
     return model.moves.argmax(axis=0).tolist()
 
 
+def check_goal(name: str, goal: Quaternion, pose: str) -> None:
+    """Raise InvalidInput where a goal is none, or nobody goes to it or knows how far it is."""
+    unit_quaternion("goal", goal)
+    if pose != "touch":
+        raise InvalidInput(f"--goal is {goal} and --object-pose {pose}; expected touch with it")
+    follows = controllers.entry(name).follows if controllers.is_named(name) else None
+    if follows is not None and "goal_quaternion" not in follows:
+        raise InvalidInput(
+            f"--goal is {goal}; {name} goes to none, expected goal, steered:NAME or "
+            "sequence:ABOUT,ACROSS"
+        )
+
+
 def tracked_by_touch(
-    controller: Controller, held: SceneConfig, pose: tuple[Floats, Floats]
+    controller: Controller,
+    held: SceneConfig,
+    pose: tuple[Floats, Floats],
+    turn: Quaternion | None = None,
 ) -> TrackedByTouch:
-    """The controller, told where the object of ``held`` is from ``pose`` on."""
+    """The controller, told where the object of ``held`` is from ``pose`` on.
+
+    And where it is wanted, if it is: turned by ``turn`` from there.
+    """
     from dexctl.sim.shapes import Shape
 
     hand = controller.hand
     (scene,) = replace(held, stiffness=None, damping=None).scenes(hand)
     shape = Shape.of_body(scene.model, scene.object_body)
-    return TrackedByTouch(hand, controller, shape, position=pose[0], quaternion=pose[1])
+    goal = None if turn is None else multiply(unit_quaternion("goal", turn), pose[1])
+    return TrackedByTouch(hand, controller, shape, position=pose[0], quaternion=pose[1], goal=goal)
 
 
 def make_controller(

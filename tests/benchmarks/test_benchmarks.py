@@ -89,6 +89,7 @@ RUNS: dict[str, list[str]] = {
         *("--episodes", "16", "--seconds", "5"),
     ],
     "predictive_sampling.py": [*SHORT],
+    "servo_goals.py": [*SHORT, "--palms", "down"],
     "servo_hand.py": [*SHORT, "--objects", "cylinder"],
     "reorientation.py": [
         *(*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z", "--long", "1"),
@@ -110,13 +111,15 @@ LONGER = {  # than five seconds of processor, however little they are asked for
     "goals_any_way_up.py", "hands.py",
     "hands_learned.py", "hands_turning.py", "hardware_grasp.py", "hardware_loop.py", "learner.py",
     "learning_ablation.py", "planning.py", "predictive_sampling.py", "ranges.py",
-    "reach.py", "reorientation.py", "robustness.py", "servo_hand.py", "starts.py", "touch.py",
+    "reach.py", "reorientation.py", "robustness.py", "servo_goals.py", "servo_hand.py", "starts.py",
+    "touch.py", "touch_tracking.py",
 }  # fmt: skip
 
 FIRST_SEEDS = {  # of those that do not begin with 0
     "gaits_long": 100,
     "predictive_sampling": 100,
     "touch_tracking": 1000,
+    "servo_goals": 40_000,
     "conditions": 20_000,
     "hands_learned": 20_000,
     "ranges": 30_000,

@@ -95,6 +95,18 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
             ["run", "igm", "--emulate", "--object", "none", "--object-pose", "touch"],
             "the empty hand has no object that is touched",
         ),
+        (
+            ["run", "goal", "--emulate", *["--goal", "1", "0", "0", "0"]],
+            "--goal is (1.0, 0.0, 0.0, 0.0) and --object-pose unknown; expected touch with it",
+        ),
+        (
+            ["run", "igm", "--emulate", *["--goal", "1", "0", "0", "0", "--object-pose", "touch"]],
+            "igm goes to none, expected goal, steered:NAME or sequence:ABOUT,ACROSS",
+        ),
+        (
+            ["run", "goal", "--emulate", *["--goal", "2", "0", "0", "0", "--object-pose", "touch"]],
+            "goal is (2, 0, 0, 0); expected a unit quaternion",
+        ),
         (["run", "regulated:igm", "--emulate"], "expected --object-pose touch, or a controller"),
         (["check", "--hand", "claw"], "unknown hand 'claw'"),
         (["check", "--calibration", "none.toml"], "none.toml is no calibration file"),
@@ -251,6 +263,21 @@ def test_an_object_is_tracked_by_touch(tmp_path: Path, capsys: pytest.CaptureFix
     # the truth is of the tick's beginning, what is tracked of the controller's answer to the last
     assert np.abs(place - log.ticks["object_position"][rows]).max() < 0.01
     assert angle_between(turn, log.ticks["object_quaternion"][rows]).max() < 0.15
+
+
+@real_time
+def test_a_goal_is_come_to_without_a_camera(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A cube on its side, by two policies in sequence: a quarter about x, in 3 s or so."""
+    words = ["run", "sequence:dex5-cube-z-any@0.4,dex5-cube-x-any", "--object", "cube"]
+    words += ["--object-pose", "touch", "--goal", "0.7071", "0.7071", "0", "0"]
+    words += ["--seconds", "15", "--json", "--out", str(tmp_path)]
+    assert main(["hardware", *words, *PATIENT]) == 0
+    figures = json.loads(capsys.readouterr().out)["figures"]
+    assert figures["goal_reached_at_s"] < 15 and figures["left_to_goal_rad"] < 0.4
+    assert "object_lost_at_s" not in figures
+    assert "left to the goal" in (tmp_path / "report.html").read_text()
 
 
 @real_time
