@@ -103,10 +103,10 @@ class TouchTracking:
     about any, how high an object is that all fingers press on from the sides. A shape that looks
     the same in many orientations, as an icosahedron does, is sooner or later taken for the next.
 
-    After M. Chalon, J. Reinecke and M. Pfanne, "Online in-hand object localization" (IROS 2013),
-    who weigh contacts of a known shape against the fingers' motion in a particle filter, and
-    M. Pfanne et al., "Fusing joint measurements and visual features for in-hand object pose
-    estimation" (RA-L 2018), in a Kalman filter.
+    Others localise touched objects by particle filters: C. Corcoran and R. Platt, "A measurement
+    model for tracking hand-object state during dexterous manipulation" (ICRA 2010); G. Vezzani et
+    al., "Memory unscented particle filter for 6-DOF tactile localization" (arXiv 1607.02757). Here
+    it is known where the object is to begin with, so that one hypothesis is enough.
 
     Args:
         hand: the hand.

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dexctl import controllers
 from dexctl.enclosing import enclosing_centre
-from dexctl.rotations import inverse, multiply, rotation_vector
+from dexctl.grasp import TouchTracking
+from dexctl.rotations import from_rotation_vector, inverse, multiply, rotation_vector
 from dexctl.settings import from_plain
-from dexctl.sim import SceneConfig, Simulation
+from dexctl.sim import SceneConfig, Shape, Simulation
 from dexctl.state import GraspState
 
 
@@ -150,3 +153,28 @@ def test_what_was_read_stays_as_it_was(pose: str) -> None:
         simulation.read()
         np.testing.assert_array_equal(seen.object_position, before[0])
         np.testing.assert_array_equal(seen.object_quaternion, before[1])
+
+
+@pytest.mark.parametrize("name", ["cube", "u_shape"])
+def test_an_object_that_is_put_in_a_little_off_is_found(name: str) -> None:
+    """By 5 mm and 0.1 rad, as somebody's hand may be; a second later it is not a third of that."""
+    with Simulation(scene(object=name, object_pose="tracked"), 6) as simulation:
+        shape = Shape.of_body(simulation.sim.groups[0].scene.model)
+        tracking = TouchTracking(simulation.hand, shape)
+        tracking.start(6)
+        there = simulation.state
+        assert there.object_position is not None and there.object_quaternion is not None
+        way = np.random.default_rng(0).normal(size=(2, 6, 3))
+        way /= np.linalg.norm(way, axis=-1, keepdims=True)
+        wrong = multiply(from_rotation_vector(0.1 * way[1]), there.object_quaternion)
+        tracking.place(np.ones(6, bool), there.object_position + 0.005 * way[0], wrong)
+        igm = controllers.make("igm", simulation.hand)
+        for _ in range(20):
+            state = simulation.read()
+            told = tracking.track(replace(state, object_position=None, object_quaternion=None))
+            simulation.write(state.q_target + igm.act(state))
+            simulation.step()
+        assert off(told, state).max() < 0.035
+        assert state.object_position is not None
+        across = tracking.position[:, :2] - state.object_position[:, :2]
+        assert np.linalg.norm(across, axis=1).max() < 0.002
