@@ -16,6 +16,7 @@ RUNS: dict[str, tuple[list[str], str]] = {
     "hold_and_turn.py": (["0.5"], "fingers touch"),
     "batch_gait.py": (["3", "0.5"], "still holding"),
     "moving_hand.py": (["1.0"], "gravity in the hand's frame"),
+    "goal_by_touch.py": (["0.5"], "by touch: 0."),
     "own_hand.py": (["{menagerie}", "0.5"], "turned a sphere"),
     "learn_from_paths.py": (["300", "200", "1"], "rad in 1 s"),
     "plan_turn.py": (["0.5"], "starts are in starts.npz"),
