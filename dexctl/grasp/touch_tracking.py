@@ -23,7 +23,15 @@ from dexctl.rotations import (
 )
 from dexctl.saved import check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import check_numbers, with_changes
+from dexctl.validation import (
+    check_mask,
+    check_numbers,
+    number,
+    numbers,
+    shown,
+    unit_quaternions,
+    with_changes,
+)
 
 _PROBE = 1e-5  # how far apart normals are compared for their change [m]
 _OUTSIDE = 0.01  # contacts are looked at so far outside of the surface, or further [m]
@@ -134,11 +142,20 @@ class TouchTracking:
         **changes: Unpack[TouchTrackingChanges],
     ) -> None:
         self.config = with_changes(TouchTrackingConfig, config, changes)
-        self._hand, self._dt = hand, control_period
+        if not isinstance(hand, HandModel):
+            raise InvalidInput(f"hand is {shown(hand)}; expected a HandModel")
+        self._hand = hand
+        self._dt = number("control_period", control_period, 0.0, 1e3, "seconds above 0", above=True)
         self._outside = max(hand.config.fingertip_radius, _OUTSIDE)
-        many = isinstance(surface, Sequence)
-        self._surfaces = list(surface) if isinstance(surface, Sequence) else [surface]
-        self.start(len(self._surfaces) if many else 1)
+        several = isinstance(surface, Sequence) and not isinstance(surface, str)
+        self._surfaces: list[Any] = list(surface) if several else [surface]
+        for one in self._surfaces:
+            if not callable(getattr(one, "closest", None)):
+                raise InvalidInput(
+                    f"surface is {shown(one)}; expected a shape, such as "
+                    "dexctl.sim.Shape.of_object('cube', 0.1)"
+                )
+        self.start(len(self._surfaces))
 
     def start(self, count: int) -> None:
         """Nothing known, for ``count`` hands.
@@ -200,10 +217,30 @@ class TouchTracking:
         fill("tracking by touch", self._arrays(), saved)
 
     def place(self, rows: Bools, position: Floats, quaternion: Floats) -> None:
-        """The objects in ``rows`` ``(N,)`` are there, ``(K, 3)`` [m] and ``(K, 4)``, at rest."""
-        self.position[rows], self.quaternion[rows] = position, quaternion
-        self.covariance[rows], self._step[rows] = self._unsure, 0.0
-        self._holding[rows], self._fresh[rows] = False, True
+        """The objects in ``rows`` are there, at rest.
+
+        Args:
+            rows: ``(N,)`` bool, K of them true.
+            position: ``(K, 3)`` [m], or one ``(3,)`` for all.
+            quaternion: wxyz, ``(K, 4)``, or one ``(4,)`` for all.
+
+        Raises:
+            InvalidInput: wrong shapes, numbers not finite, or no unit quaternions.
+        """
+        chosen, turn = (
+            check_mask(rows, self._fresh.shape),
+            unit_quaternions("quaternion", quaternion),
+        )
+        place, count = numbers("position", position, "positions [m]"), int(chosen.sum())
+        for name, array, size in (("position", place, 3), ("quaternion", turn, 4)):
+            if array.shape not in ((size,), (count, size)) or not np.isfinite(array).all():
+                raise InvalidInput(
+                    f"{name} is {shown(array)}; expected {size} finite numbers, or {count} "
+                    f"times {size}"
+                )
+        self.position[chosen], self.quaternion[chosen] = place, turn
+        self.covariance[chosen], self._step[chosen] = self._unsure, 0.0
+        self._holding[chosen], self._fresh[chosen] = False, True
 
     def track(self, state: GraspState) -> GraspState:
         """``state``, of one hand or of N, with the objects' poses by touch.
@@ -244,17 +281,9 @@ class TouchTracking:
         weighed = transmission * np.repeat(1.0 / slip**2, 3, axis=1)[:, None]
         # what it did before, and by how much it may have changed
         last = np.exp(-self._dt / config.memory) * self._step
-        wander = np.sqrt(self._dt) * self._dt
-        changed = np.concatenate(
-            [
-                config.acceleration * wander + config.slip_share * _length(last[:, :3])[:, None]
-                + np.zeros(3),
-                config.angular_acceleration * wander
-                + config.slip_share * _length(last[:, 3:])[:, None] + np.zeros(3),
-            ],
-            axis=1,
-        )  # fmt: skip
-        prior = 1.0 / changed**2
+        wander = self._dt**1.5 * np.array([config.acceleration, config.angular_acceleration])
+        changed = wander + config.slip_share * _length(last.reshape(-1, 2, 3))
+        prior = np.repeat(1.0 / changed**2, 3, axis=1)
         information = weighed @ transmission.swapaxes(1, 2) + prior[..., None] * np.eye(6)
         right = (weighed @ motion.reshape(len(q), -1, 1))[..., 0] + prior * last
         spread = np.linalg.inv(information)

@@ -257,11 +257,49 @@ def test_what_is_placed_anew_is_at_rest_there(dex5: HandModel) -> None:
     assert one.position[1, 0] > before[1, 0] + 1e-4  # goes on
 
 
+def test_it_stays_finite_for_as_long_as_an_hour(dex5: HandModel) -> None:
+    """Touch comes and goes, and for minutes there is none."""
+    rng = np.random.default_rng(0)
+    one = tracking(dex5)
+    there = CENTRE[None], STILL[None]
+    states = [touched(dex5, *there, rng.uniform(size=(1, 5)) < share) for share in (0.0, 0.5, 1.0)]
+    now = dex5.configuration(states[0].q)
+    for i in range(3000):
+        state = states[0] if i > 2900 else states[rng.integers(3)]
+        one.update(state, now, state.in_contact)
+    one.covariance = one.covariance + 69_000 * 2.5e-3 * np.eye(6)  # which is what no touch adds
+    one.update(states[2], now, states[2].in_contact)
+    assert np.isfinite(one.covariance).all()
+    assert np.linalg.eigvalsh(one.covariance).min() > 0
+    np.testing.assert_allclose(one.covariance, one.covariance.swapaxes(1, 2), rtol=1e-6, atol=1e-9)
+
+
 def test_bad_input_gets_one_line(dex5: HandModel) -> None:
     with pytest.raises(InvalidInput, match="slip is -1"):
         TouchTracking(dex5, CUBE, slip=-1)
     with pytest.raises(InvalidInput, match="middle_noise is 0"):
         TouchTrackingConfig(middle_noise=0)
+    with pytest.raises(InvalidInput, match="hand is 'dex5'; expected a HandModel"):
+        TouchTracking("dex5", CUBE)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="surface is 'cube'; expected a shape, such as dexctl.s"):
+        TouchTracking(dex5, "cube")  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="control_period is 0; expected seconds above 0"):
+        TouchTracking(dex5, CUBE, control_period=0)
+    one = tracking(dex5, 2)
+    both, first = np.array([True, True]), np.array([True, False])
+    for rows, place, turn, said in (
+        ([1, 0], CENTRE, STILL, "mask has shape"),
+        (first, CENTRE[:2], STILL, "expected 3 finite numbers, or 1 times 3"),
+        (first, [0.0, np.nan, 0.0], STILL, "position is array"),
+        (both, np.zeros((3, 3)), STILL, "or 2 times 3"),
+        (both, CENTRE, 2 * STILL, "expected a unit quaternion"),
+        (both, "here", STILL, "position is not an array of numbers: 'here'"),
+    ):
+        before = one.state_dict()
+        with pytest.raises(InvalidInput, match=said):
+            one.place(rows, place, turn)  # type: ignore[arg-type]
+        for name, value in one.state_dict().items():
+            np.testing.assert_array_equal(value, before[name])
     with pytest.raises(InvalidInput, match="3 surfaces for 2 hands; expected one, or one for each"):
         TouchTracking(dex5, [CUBE, CUBE, CUBE]).start(2)
     state = touched(dex5, np.tile(CENTRE, (2, 1)), np.tile(STILL, (2, 1)))
