@@ -147,8 +147,9 @@ class TouchTracking:
         self._hand = hand
         self._dt = number("control_period", control_period, 0.0, 1e3, "seconds above 0", above=True)
         self._outside = max(hand.config.fingertip_radius, _OUTSIDE)
-        several = isinstance(surface, Sequence) and not isinstance(surface, str)
-        self._surfaces: list[Any] = list(surface) if several else [surface]
+        self._surfaces: list[Any] = [surface]
+        if isinstance(surface, Sequence) and not isinstance(surface, str):
+            self._surfaces = list(surface)
         for one in self._surfaces:
             if not callable(getattr(one, "closest", None)):
                 raise InvalidInput(
