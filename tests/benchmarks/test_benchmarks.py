@@ -446,7 +446,7 @@ def test_figures_are_renewed_between_their_comments(tmp_path: Path) -> None:
         assert text.startswith("head\n<!-- figures:begin -->\n")
         assert text.endswith("<!-- figures:end -->\ntail\n")
         assert "stale" not in text
-    assert few.count("\n| ") == 1 + 1 + 5  # header, rule and five figures
+    assert few.count("\n| ") == 1 + 1 + 6  # header, rule and six figures
     shown = [line.strip("| ") for line in few.splitlines() if line.startswith("| ")][2:]
     assert all(figure in everything for figure in shown)
     results = [json.loads(path.read_text()) for path in (FOLDER / "results").glob("*.json")]
