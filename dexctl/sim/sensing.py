@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
@@ -11,11 +11,13 @@ from dexctl.exceptions import InvalidInput
 from dexctl.joint_touch import JointTouch
 from dexctl.limits import LONGEST_LATENCY
 from dexctl.settings import NESTED
-from dexctl.sim.reckoning import Reckoning
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams, StreamsState
 from dexctl.touch import TouchConfig
 from dexctl.validation import check_kind, check_name, check_numbers
+
+if TYPE_CHECKING:
+    from dexctl.sim.reckoning import Reckoning
 
 Touch = Literal["full", "binary", "joint-torque"]
 TOUCHES: tuple[Touch, ...] = ("full", "binary", "joint-torque")
