@@ -9,7 +9,9 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -420,6 +422,23 @@ def outcome(trace: Trace, target: float = FULL_TURN) -> dict[str, Any]:
         "touched_by_more_than_fingertips": _r(other.sum() / held.sum()),
         "only_fingertips": _r(1.0 - other.sum() / held.sum()),
     }
+
+
+def emulated_run(*words: str) -> dict[str, Any]:
+    """What `dexctl hardware run WORDS --emulate` says, 50 ms from a set-point to its effect.
+
+    Raises:
+        SystemExit: it said nothing but an error.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = ["hardware", "run", *words, "--emulate", "--json", "--out", folder,
+                   "--action-latency", "0.05", "--patience", "5"]  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-m", "dexctl", *command], capture_output=True, text=True, check=False
+        )
+    if not done.stdout.strip():
+        raise SystemExit(f"dexctl {' '.join(command)}: {done.stderr.strip()}")
+    return json.loads(done.stdout)
 
 
 def _before_drop(trace: Trace) -> dict[str, float] | None:

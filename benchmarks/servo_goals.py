@@ -8,10 +8,6 @@ looks as it does in the grasp; whether it is there is judged by where the emulat
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-import tempfile
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import product
@@ -24,6 +20,7 @@ from common import (
     Figure,
     Settings,
     earlier,
+    emulated_run,
     percent_interval,
     progress,
     settings,
@@ -64,20 +61,11 @@ def goals() -> list[tuple[float, ...]]:
 def trial(who: str, palm: str, number: int, given: Options) -> dict[str, Any]:
     """One run to one goal."""
     goal, seed = goals()[number], given.seed + number
-    with tempfile.TemporaryDirectory() as folder:
-        words = [
-            "hardware", "run", who, "--emulate", "--object", "cube", "--gravity", palm, "--json",
-            "--object-pose", "touch", "--goal", *(f"{one:.6f}" for one in goal),
-            "--seconds", f"{given.seconds:g}", "--seed", str(seed), "--out", folder,
-            "--joint-offset", f"{given.joint_offset:g}", "--action-latency", "0.05",
-            "--patience", "5",
-        ]  # fmt: skip
-        done = subprocess.run(
-            [sys.executable, "-m", "dexctl", *words], capture_output=True, text=True, check=False
-        )
-    if not done.stdout.strip():
-        raise SystemExit(f"dexctl {' '.join(words)}: {done.stderr.strip()}")
-    found = json.loads(done.stdout)
+    found = emulated_run(
+        who, "--object", "cube", "--gravity", palm, "--object-pose", "touch",
+        "--goal", *(f"{one:.6f}" for one in goal), "--seconds", f"{given.seconds:g}",
+        "--seed", str(seed), "--joint-offset", f"{given.joint_offset:g}",
+    )  # fmt: skip
     figures = found["figures"]
     return {
         "who": who,
@@ -137,12 +125,15 @@ def main() -> None:
         for who, palm, number in product(given.who, given.palms, range(given.trials))
         if (who, palm, given.seed + number) not in done
     ]
-    with ThreadPoolExecutor(given.jobs) as pool:
+    pool = ThreadPoolExecutor(given.jobs)
+    try:
         runs = {pool.submit(trial, *one, given): one for one in wanted}
         for run in as_completed(runs):
             rows.append(run.result())
             save(rows, given, say=False)
             progress(", ".join(map(str, runs[run])))
+    finally:  # after a Ctrl-C, which ends the trials under way, none begins
+        pool.shutdown(cancel_futures=True)
     save(rows, given, say=True)
 
 

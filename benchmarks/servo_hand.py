@@ -9,9 +9,6 @@ controller began) or the end.
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-import tempfile
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import product
@@ -24,6 +21,7 @@ from common import (
     Figure,
     Settings,
     earlier,
+    emulated_run,
     over_seeds,
     percent_interval,
     progress,
@@ -61,19 +59,10 @@ class Options(Settings):
 
 def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
     """One run."""
-    with tempfile.TemporaryDirectory() as folder:
-        words = [
-            "hardware", "run", who, "--emulate", "--object", turned, "--json",
-            "--seconds", f"{given.seconds:g}", "--seed", str(seed), "--out", folder,
-            "--joint-offset", f"{given.joint_offset:g}", "--action-latency", "0.05",
-            "--patience", "5",
-        ]  # fmt: skip
-        done = subprocess.run(
-            [sys.executable, "-m", "dexctl", *words], capture_output=True, text=True, check=False
-        )
-    if not done.stdout.strip():
-        raise SystemExit(f"dexctl {' '.join(words)}: {done.stderr.strip()}")
-    found = json.loads(done.stdout)
+    found = emulated_run(
+        who, "--object", turned, "--seconds", f"{given.seconds:g}", "--seed", str(seed),
+        "--joint-offset", f"{given.joint_offset:g}",
+    )  # fmt: skip
     figures = found["figures"]
     lost = figures.get("object_lost_at_s")
     # the log begins with the approach, so the speed is told a little low
