@@ -38,15 +38,15 @@ class EnvConfig:
     max_lead: float = 0.25
     """Set-points are kept this close to the measured joints [rad]."""
     parts: tuple[str, ...] = DEFAULT_PARTS
-    """What the policy observes, in this order; touch, gravity, object_position,
-    object_quaternion, goal_quaternion, goal_rotation and goal_angular_velocity may be added."""
+    """What the policy observes, in this order; touch, gravity, object_position, object_quaternion,
+    object_rotation, goal_quaternion, goal_rotation and goal_angular_velocity may be added."""
     history: tuple[int, ...] = ()
     """What the policy observed so many control steps ago is observed beside it: 1 4, say."""
     critic_parts: tuple[str, ...] = ()
-    """What the critics observe beside it, without noise: any other of these parts, and
-    object_velocity, fingertip_force (net force of each on the object), joint_offset (what encoders
-    read at zero) and drawn (what randomisation drew for the episode). The thesis has nothing here
-    with SAC; with PPO, object_position, object_quaternion, object_velocity and fingertip_force."""
+    """What the critics observe beside it, without noise: any of these parts, and object_velocity,
+    fingertip_force (net force of each on the object), joint_offset (what encoders read at zero) and
+    drawn (what randomisation drew for the episode). The thesis has nothing here with SAC; with PPO,
+    object_position, object_quaternion, object_velocity and fingertip_force."""
     scaled: bool = False
     """Whether observations are brought to about unit size; the thesis has them in SI units."""
 
@@ -56,15 +56,9 @@ class EnvConfig:
         check_parts(self.parts)
         check_steps(self.history)
         seen = (*self.parts, *self.critic_parts)
-        twice = [name for name in self.critic_parts if name in self.parts]
-        if twice:
-            raise InvalidInput(
-                f"critic_parts has {', '.join(twice)}, and critics see what is in parts already; "
-                "expected others"
-            )
         if self.critic_parts:
             check_names(self.critic_parts, "critic_parts")
-        check_parts([name for name in seen if name not in TRUTH])
+        check_parts(list(dict.fromkeys(name for name in seen if name not in TRUTH)))
         self._check_goals(seen)
 
     def _check_goals(self, seen: tuple[str, ...]) -> None:

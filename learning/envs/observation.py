@@ -14,6 +14,7 @@ order, coordinates x, y, z in the world (= hand) frame:
 | ``touch`` | m | 1 where the fingertip touches, else 0 |
 | ``object_position`` | 3 | [m] |
 | ``object_quaternion`` | 4 | wxyz, w >= 0 |
+| ``object_rotation`` | 6 | the same without jumps: where it takes x and y |
 | ``gravity`` | 3 | its direction |
 | ``goal_quaternion`` | 4 | orientation that the object is wanted in, wxyz, w >= 0 |
 | ``goal_rotation`` | 6 | the turn from where the object is to there: where it takes x and y |
@@ -195,16 +196,21 @@ def _direction(vector: Floats | None) -> Floats | None:
     return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)
 
 
-def _goal_rotation(state: GraspState) -> Floats | None:
+def _two_columns(turn: Floats | None) -> Floats | None:
     """Two columns of the rotation matrix: unlike an angle, they change without jumps.
 
     (Zhou et al., On the continuity of rotation representations in neural networks, 2019.)
     """
+    if turn is None:
+        return None
+    columns = rotate(turn[..., None, :], np.broadcast_to(np.eye(3)[:2], (*turn.shape[:-1], 2, 3)))
+    return columns.reshape(*turn.shape[:-1], 6)
+
+
+def _goal_turn(state: GraspState) -> Floats | None:
     if state.goal_quaternion is None or state.object_quaternion is None:
         return None
-    turn = multiply(state.goal_quaternion, inverse(state.object_quaternion))[..., None, :]
-    columns = rotate(turn, np.broadcast_to(np.eye(3)[:2], (*turn.shape[:-2], 2, 3)))
-    return columns.reshape(*turn.shape[:-2], 6)
+    return multiply(state.goal_quaternion, inverse(state.object_quaternion))
 
 
 DRAWN = "drawn"
@@ -224,6 +230,9 @@ PARTS: dict[str, Part] = {
     "object_quaternion": Part(
         lambda d, m: 4, lambda state: _upper_half(state.object_quaternion), (-1.0, 1.0)
     ),
+    "object_rotation": Part(
+        lambda d, m: 6, lambda state: _two_columns(state.object_quaternion), (-1.0, 1.0)
+    ),
     "gravity": Part(
         lambda d, m: 3, lambda state: _direction(state.gravity), (-1.0, 1.0), "gravity's direction"
     ),
@@ -234,12 +243,17 @@ PARTS: dict[str, Part] = {
         "a goal orientation",
     ),
     "goal_rotation": Part(
-        lambda d, m: 6, _goal_rotation, (-1.0, 1.0), "a goal orientation and the object's pose"
+        lambda d, m: 6,
+        lambda state: _two_columns(_goal_turn(state)),
+        (-1.0, 1.0),
+        "a goal orientation and the object's pose",
     ),
     "goal_angular_velocity": Part(
         lambda d, m: 3, lambda state: state.goal_angular_velocity, needs="a wanted angular velocity"
     ),
 }
+POSES = ("object_position", "object_quaternion", "object_rotation", "goal_rotation")
+"""The parts that are there only where the object is tracked."""
 ORIENTATIONS = ("goal_quaternion", "goal_rotation")
 """The parts that tell which orientation is wanted."""
 TURNING = "goal_angular_velocity"

@@ -39,6 +39,14 @@ def _orientations(one: HandSymmetry, values: Floats) -> Floats:
     return np.where(found[:, :1] < 0, -found, found)
 
 
+def _orientation_columns(one: HandSymmetry, values: Floats) -> Floats:
+    """As `_orientations`, of the first two columns of rotation matrices, ``(B, 6)``."""
+    found = values.reshape(-1, 2, 3) @ one.matrix.T
+    if one.mirrors:
+        found[:, 1] *= -1.0  # between two images in its xz plane
+    return found.reshape(values.shape)
+
+
 def _rotations(one: HandSymmetry, values: Floats) -> Floats:
     """Of the first two columns of rotation matrices, ``(B, 6)``."""
     x, y = values[:, :3], values[:, 3:]
@@ -60,6 +68,7 @@ _TURNED: dict[str, Turned] = {
     "touch": HandSymmetry.of_fingers,
     "object_position": HandSymmetry.of_vectors,
     "object_quaternion": _orientations,
+    "object_rotation": _orientation_columns,
     "gravity": HandSymmetry.of_vectors,
     "goal_quaternion": _orientations,
     "goal_rotation": _rotations,

@@ -18,7 +18,7 @@ from dexctl.symmetry import HandSymmetry, symmetries, turned_to
 from dexctl.validation import check_mask, check_vector, shown_numbers, unit_axis, unit_quaternion
 from learning.envs.action import SetPointAction
 from learning.envs.history import History
-from learning.envs.observation import ORIENTATIONS, TURNING, Observation, check_parts
+from learning.envs.observation import ORIENTATIONS, POSES, TURNING, Observation, check_parts
 
 
 def _relu(x: Floats) -> Floats:
@@ -198,6 +198,7 @@ class Policy(Controller):
         self.spec = spec
         self.card = dict(card or {})
         self.observation = Observation.from_dict(hand, spec.observation)
+        self.tracks = bool(set(POSES) & set(self.observation.parts))
         self.action = SetPointAction(hand, **spec.action)
         self.history = History(self.observation.size, spec.history)
         self.layers = check_layers(layers, self.history.size, hand.nq)

@@ -81,6 +81,35 @@ def test_parts_are_switchable_and_ordered(dex5: dexctl.HandModel, state: dexctl.
         assert Observation(dex5, (name,))(state).shape[1] == Observation(dex5, (name,)).size
 
 
+def test_orientations_without_jumps_by_hand(
+    dex5: dexctl.HandModel, state: dexctl.GraspState
+) -> None:
+    """Where the object takes x and y, whichever of q and -q it is told."""
+    look = Observation(dex5, ("object_rotation",), scaled=True)
+    # wxyz (-0.6, 0.8, 0, 0): cos -0.28, sin -0.96 about x
+    by_hand = [[1, 0, 0, 0, 1, 0], [1, 0, 0, 0, -0.28, -0.96]]
+    np.testing.assert_allclose(look(state), by_hand, atol=1e-6)
+    other = replace(state, object_quaternion=-np.asarray(state.object_quaternion))
+    np.testing.assert_array_equal(look(other), look(state))
+
+
+def test_critics_may_see_as_it_is_what_the_policy_is_told_with_noise() -> None:
+    parts = ("q", "object_position")
+    config = env_config(
+        object="cylinder", threads=1, parts=parts, critic_parts=parts, joint_noise=0.1,
+        object_pose="touch",
+    )  # fmt: skip
+    envs = make_vector(config, 3, seed=0)
+    seen, _ = envs.reset(seed=0)
+    envs.step(np.zeros((3, 15)))
+    seen = envs.step(np.zeros((3, 15)))[0]
+    assert seen.shape == (3, 36)
+    np.testing.assert_allclose(seen[:, 18:33], envs.state.q, atol=1e-6)
+    np.testing.assert_allclose(seen[:, 33:], envs.state.object_position, atol=1e-6)
+    assert np.abs(seen[:, :15] - seen[:, 18:33]).max() > 0.05
+    assert 1e-5 < np.abs(seen[:, 15:18] - seen[:, 33:]).max() < 0.02  # by touch
+
+
 def test_scaled_observations_by_hand(dex5: dexctl.HandModel, state: dexctl.GraspState) -> None:
     observation = Observation(dex5, tuple(PARTS), scaled=True, centre=(0.0, 0.0, 0.1))
     vector = observation(state)

@@ -48,6 +48,22 @@ def state(dex5: dexctl.HandModel) -> dexctl.GraspState:
 
 
 @pytest.mark.parametrize(
+    ("part", "needed"),
+    [
+        ("touch", False),
+        ("goal_quaternion", False),
+        ("goal_rotation", True),
+        ("object_position", True),
+        ("object_rotation", True),
+    ],
+)
+def test_policies_say_whether_they_need_the_objects_pose(
+    dex5: dexctl.HandModel, part: str, needed: bool
+) -> None:
+    assert Policy(dex5, *made(dex5, part)).tracks is needed
+
+
+@pytest.mark.parametrize(
     ("part", "name", "value", "keyword"),
     [
         ("goal_rotation", "goal_quaternion", GOAL, "goal"),

@@ -126,7 +126,6 @@ def test_ctrl_c_says_what_is_saved_and_how_to_go_on(tmp_path: Path) -> None:
         ("--sac.buffer-size 64", "buffer_size is 64; expected at least one batch"),
         ("--env.axis w", "unknown axis 'w'; known: x, y, z"),
         ("--env.parts q smell", "unknown observation part 'smell'; known: q, q_target"),
-        ("--env.critic-parts q", "critic_parts has q, and critics see what is in parts already"),
         ("--env.critic-parts drawn drawn", "critic_parts is .*each named once"),
         ("--start-from gravity --env.gravity-tilt 3", "start_from is 'gravity', .* gravity_tilt"),
         ("--start-from grasps --env.size-range 0.9,1.1", "start_from is 'grasps', .* size_range"),
