@@ -76,10 +76,21 @@ CONDITIONS: dict[str, Condition] = {
     "limits-up": Condition("limits, palm up", ("limits",)),
     "limits": Condition("limits, any way up", ("limits", "any-gravity")),
     "everything": Condition("everything, any way up", ("everything", "any-gravity"), hold=0.98),
+    "everything-bounded": Condition(
+        "everything, offsets up to 0.05 rad, any way up",
+        ("everything", "bounded", "any-gravity"),
+        hold=0.98,
+    ),
     "all": Condition(
         "everything and limits, any way up",
         ("everything", "limits", "any-gravity"),
         every=True,
+        hold=0.98,
+        speed=0.5,
+    ),
+    "all-bounded": Condition(
+        "everything, offsets up to 0.05 rad, and limits, any way up",
+        ("everything", "bounded", "limits", "any-gravity"),
         hold=0.98,
         speed=0.5,
     ),

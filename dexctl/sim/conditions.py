@@ -12,6 +12,7 @@ from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE
 from dexctl.settings import changed
 from dexctl.sim.scene_config import SceneConfig
 
+BOUND = 0.05  # of what encoders are off by [rad]
 CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "nominal": {},
     "limits": {
@@ -24,16 +25,18 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
         "mass_range": (0.05, 0.25),
         "stiffness_range": (0.7, 1.3),
         "damping_range": (0.7, 1.3),
-        "joint_offset": 0.05 / 3**0.5,  # as wide as uniform noise of 0.05 rad each way
+        "joint_offset": BOUND / 3**0.5,  # as wide as uniform noise of as much each way
         "position_noise": 0.002,
         "normal_noise": 0.1,
         "force_noise": 0.5,
         "action_latency": REAL_LATENCY,
     },
+    "bounded": {"joint_offset": 0.0, "joint_offset_range": (-BOUND, BOUND)},
     "any-gravity": {"gravity_tilt": 3.141592653589793},
 }
 """Settings of `SceneConfig` by name. "limits" are those of the hand in the thesis; "everything" is
-what a real hand may be off by, drawn for each episode."""
+what a real hand may be off by, drawn for each episode; its encoders' offsets are normal, and behind
+it "bounded" draws them evenly."""
 
 
 def under(config: SceneConfig, *conditions: str) -> SceneConfig:

@@ -22,6 +22,14 @@ def test_conditions_add_up() -> None:
     assert config.sensing.force_noise == 0.5
 
 
+def test_bounded_offsets_are_as_wide_as_normal_ones() -> None:
+    normal = under(SceneConfig(), "everything").sensing.joint_offset
+    bounded = under(SceneConfig(), "everything", "bounded")
+    low, high = bounded.randomisation.joint_offset_range or (0.0, 0.0)
+    assert (low, high) == (-0.05, 0.05) and bounded.sensing.joint_offset == 0.0
+    assert (high - low) / 12**0.5 == pytest.approx(normal)
+
+
 @pytest.mark.parametrize("name", list(CONDITIONS))
 def test_each_is_a_scene(name: str) -> None:
     assert (under(SceneConfig(), name) == SceneConfig()) == (name == "nominal")
