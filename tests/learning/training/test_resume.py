@@ -24,15 +24,15 @@ from learning.training import checkpoint
 
 ROOT = Path(__file__).parents[3]
 OPTIONS = shlex.split(
-    "--object cylinder --num-envs 6 --env.episode-steps 60 --seed 3 --log-every 100 "
-    "--checkpoint-every 200 --device cpu --recipe thesis "
+    "--object cylinder --num-envs 6 --env.episode-steps 40 --seed 3 --log-every 60 "
+    "--checkpoint-every 120 --device cpu --recipe thesis "
     + " ".join(
         f"--{name}.network 32 32 --{name}.batch-size 32 --{name}.learning-starts 60 "
-        f"--{name}.buffer-size 400"
+        f"--{name}.buffer-size 240"
         for name in ("sac", "td3")
     )
     + " --ppo.network 32 --ppo.rollout-steps 10"
-    + " --dagger.network 32 --dagger.batch-size 32 --dagger.buffer-size 400"
+    + " --dagger.network 32 --dagger.batch-size 32 --dagger.buffer-size 240"
     + " --dagger.learning-rate-end none"
 )
 RUN = (
@@ -113,7 +113,7 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert process.returncode == -signal.SIGKILL
-    steps = checkpoint.read(killed / "checkpoint.bin")["algorithm"]["steps"] + 300
+    steps = checkpoint.read(killed / "checkpoint.bin")["algorithm"]["steps"] + 180
     run("--resume", str(killed), "--steps", str(steps))
     run(*options, "--steps", str(steps), "--out", str(whole))
     equal_runs(whole, killed)
@@ -161,9 +161,9 @@ def test_stopped_half_way_equals_uninterrupted(
 ) -> None:
     options = [*OPTIONS, "--algorithm", algorithm, "--method", method, "--controller", controller]
     whole, halved = tmp_path / "whole", tmp_path / "halved"
-    run(*options, "--out", str(whole), "--steps", "600")
-    run(*options, "--out", str(halved), "--steps", "300")
-    run("--resume", str(halved), "--steps", "600")
+    run(*options, "--out", str(whole), "--steps", "360")
+    run(*options, "--out", str(halved), "--steps", "180")
+    run("--resume", str(halved), "--steps", "360")
     equal_runs(whole, halved)
 
 
