@@ -73,6 +73,14 @@ CONDITIONS: dict[str, Condition] = {
     "any-gravity": Condition(
         "nominal, any way up", ("any-gravity",), every=True, hold=0.98, speed=0.8
     ),
+    "by-touch": Condition(
+        "nominal, any way up, tracked by touch",
+        ("any-gravity",),
+        changes={"object_pose": "touch"},
+        every=True,
+        hold=0.98,
+        speed=0.8,
+    ),
     "limits-up": Condition("limits, palm up", ("limits",)),
     "limits": Condition("limits, any way up", ("limits", "any-gravity")),
     "everything": Condition("everything, any way up", ("everything", "any-gravity"), hold=0.98),

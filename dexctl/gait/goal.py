@@ -42,10 +42,11 @@ class GoalGaitConfig:
     most_tilt: float = 0.4
     """The object is tilted no further than this from where it was at the reset [rad]; goals beyond
     are approached so far."""
-    align_angle: float = 0.1
+    align_angle: float = 0.05
     """It is tilted when less than this is left to turn about the gait's axis [rad], ..."""
-    turn_angle: float = 0.3
-    """... and turned about that again from so much on [rad]."""
+    turn_angle: float = 0.15
+    """... and turned about that again from so much on [rad]; what is left below it stays, so it has
+    to be less than what goals are to be reached within."""
 
     def __post_init__(self) -> None:
         check_kind(self, gait=CoordinatedGaitConfig)
