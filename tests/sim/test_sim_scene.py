@@ -182,6 +182,7 @@ def test_menagerie_failures_are_one_line(monkeypatch: pytest.MonkeyPatch, tmp_pa
         hands.load("wonik_allegro", folder=tmp_path)
 
 
+@pytest.mark.slow
 def test_an_object_that_is_not_held_where_another_is_gets_its_own_place(
     four_fingers: HandModel,
 ) -> None:

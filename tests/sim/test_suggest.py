@@ -191,6 +191,7 @@ def test_a_suggestion_is_a_hand_file(bare: HandModel, tmp_path: Path) -> None:
         assert np.linalg.norm(settled.qpos[scene.object_qpos][:3] - best.centre) < 0.01
 
 
+@pytest.mark.slow
 def test_size_and_place_that_are_given_are_kept(bare: HandModel) -> None:
     centre = (0.015, -0.018, 0.09)
     found = Scene.suggest_grasp(bare, "sphere", object_size=0.06, grasp_centre=centre, count=1)
