@@ -238,7 +238,8 @@ class Policy(Controller):
         One that is told what to turn about, or whose axis nobody knows, is as it was.
 
         Raises:
-            InvalidInput: the hand has none that makes this axis of the policy's.
+            InvalidInput: the hand has none that makes this axis of the policy's, or only a mirror
+                image, and the policy sees the orientation of an object that has none.
         """
         own, wanted = _trained_axis(self.card, self.observation.parts), unit_axis(axis)
         if own is None or np.allclose(self.axis or own, wanted, atol=1e-6):
@@ -254,11 +255,21 @@ class Policy(Controller):
                 f"{shown_numbers(own)}, of which {self.hand.name!r}'s symmetries make "
                 + ", ".join(sorted(images))
             )
+        twisted = _twisted(self.card) if symmetry.mirrors and self._sees_turns else []
+        if twisted:
+            raise InvalidInput(
+                f"axis is {shown_numbers(wanted)}; the policy sees how the {twisted[0]} lies, "
+                f"which is not its own mirror image, expected {shown_numbers(own)}"
+            )
         return Policy(
             self.hand, self.layers, self.spec, self.card, symmetry=symmetry, pace=self.pace,
             goal=self._wanted["goal_quaternion"],
             angular_velocity=self._wanted["goal_angular_velocity"],
         )  # fmt: skip
+
+    @property
+    def _sees_turns(self) -> bool:
+        return not {"object_quaternion", "object_rotation"}.isdisjoint(self.observation.parts)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Forget what was observed before; a policy without a history has nothing to forget."""
@@ -346,6 +357,21 @@ def _trained_axis(
         return unit_axis(only)
     except (LookupError, TypeError, ValueError, AttributeError):
         return None
+
+
+def _twisted(card: Mapping[str, Any]) -> list[str]:
+    """The objects of a policy's training that are not their own mirror images."""
+    from dexctl.sim.shapes import Shape
+
+    try:
+        scene = card["trained"]["env"]["scene"]
+        return [
+            name
+            for name in scene["object"]
+            if not Shape.of_object(name, 0.1, mesh=scene.get("object_mesh")).is_mirrored
+        ]
+    except (LookupError, TypeError, AttributeError):
+        return []
 
 
 def check_layers(
