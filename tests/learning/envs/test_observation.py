@@ -103,7 +103,7 @@ def test_critics_may_see_as_it_is_what_the_policy_is_told_with_noise() -> None:
     seen, _ = envs.reset(seed=0)
     envs.step(np.zeros((3, 15)))
     seen = envs.step(np.zeros((3, 15)))[0]
-    assert seen.shape == (3, 36)
+    assert seen.shape == (3, 36) and envs.state.object_position is not None
     np.testing.assert_allclose(seen[:, 18:33], envs.state.q, atol=1e-6)
     np.testing.assert_allclose(seen[:, 33:], envs.state.object_position, atol=1e-6)
     assert np.abs(seen[:, :15] - seen[:, 18:33]).max() > 0.05
