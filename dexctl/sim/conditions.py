@@ -12,7 +12,7 @@ from dexctl.limits import REAL_LATENCY, REAL_SPEED, REAL_TORQUE
 from dexctl.settings import changed
 from dexctl.sim.scene_config import SceneConfig
 
-BOUND = 0.05  # of what encoders are off by [rad]
+_MOST_OFFSET = 0.05  # of an encoder [rad]
 CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "nominal": {},
     "limits": {
@@ -25,13 +25,13 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
         "mass_range": (0.05, 0.25),
         "stiffness_range": (0.7, 1.3),
         "damping_range": (0.7, 1.3),
-        "joint_offset": BOUND / 3**0.5,  # as wide as uniform noise of as much each way
+        "joint_offset": _MOST_OFFSET / 3**0.5,  # as wide as uniform noise of as much each way
         "position_noise": 0.002,
         "normal_noise": 0.1,
         "force_noise": 0.5,
         "action_latency": REAL_LATENCY,
     },
-    "bounded": {"joint_offset": 0.0, "joint_offset_range": (-BOUND, BOUND)},
+    "bounded": {"joint_offset": 0.0, "joint_offset_range": (-_MOST_OFFSET, _MOST_OFFSET)},
     "any-gravity": {"gravity_tilt": 3.141592653589793},
 }
 """Settings of `SceneConfig` by name. "limits" are those of the hand in the thesis; "everything" is

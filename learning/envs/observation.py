@@ -252,7 +252,9 @@ PARTS: dict[str, Part] = {
         lambda d, m: 3, lambda state: state.goal_angular_velocity, needs="a wanted angular velocity"
     ),
 }
-POSES = ("object_position", "object_quaternion", "object_rotation", "goal_rotation")
+ATTITUDES = ("object_quaternion", "object_rotation")
+"""The parts that tell how the object lies."""
+POSES = ("object_position", *ATTITUDES, "goal_rotation")
 """The parts that are there only where the object is tracked."""
 ORIENTATIONS = ("goal_quaternion", "goal_rotation")
 """The parts that tell which orientation is wanted."""

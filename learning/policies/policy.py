@@ -18,7 +18,14 @@ from dexctl.symmetry import HandSymmetry, symmetries, turned_to
 from dexctl.validation import check_mask, check_vector, shown_numbers, unit_axis, unit_quaternion
 from learning.envs.action import SetPointAction
 from learning.envs.history import History
-from learning.envs.observation import ORIENTATIONS, POSES, TURNING, Observation, check_parts
+from learning.envs.observation import (
+    ATTITUDES,
+    ORIENTATIONS,
+    POSES,
+    TURNING,
+    Observation,
+    check_parts,
+)
 
 
 def _relu(x: Floats) -> Floats:
@@ -255,7 +262,8 @@ class Policy(Controller):
                 f"{shown_numbers(own)}, of which {self.hand.name!r}'s symmetries make "
                 + ", ".join(sorted(images))
             )
-        twisted = _twisted(self.card) if symmetry.mirrors and self._sees_turns else []
+        sees = not set(ATTITUDES).isdisjoint(self.observation.parts)
+        twisted = _twisted(self.card) if symmetry.mirrors and sees else []
         if twisted:
             raise InvalidInput(
                 f"axis is {shown_numbers(wanted)}; the policy sees how the {twisted[0]} lies, "
@@ -266,10 +274,6 @@ class Policy(Controller):
             goal=self._wanted["goal_quaternion"],
             angular_velocity=self._wanted["goal_angular_velocity"],
         )  # fmt: skip
-
-    @property
-    def _sees_turns(self) -> bool:
-        return not {"object_quaternion", "object_rotation"}.isdisjoint(self.observation.parts)
 
     def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
         """Forget what was observed before; a policy without a history has nothing to forget."""
