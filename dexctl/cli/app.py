@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
+from dexctl.cli.checks import no_empty_folders
 from dexctl.cli.commands import Command, commands, find
 from dexctl.exceptions import DexctlError, InvalidInput, UnknownName
 
@@ -67,7 +68,10 @@ def _run(target: type[Command], title: str, arguments: list[str]) -> int:
     from dexctl.cli.parsing import parse
 
     command = parse(target, title, arguments)
-    return OK if command is None else int(command.run() or OK)
+    if command is None:
+        return OK
+    with no_empty_folders():
+        return int(command.run() or OK)
 
 
 def _overview() -> str:

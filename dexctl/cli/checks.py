@@ -26,21 +26,19 @@ def check_count(option: str, value: int) -> int:
     return value
 
 
-@contextmanager
-def new_folder(path: Path, option: str = "--out") -> Iterator[Path]:
-    """`make_folder` for this block, after which nothing empty that was made for it is left.
+_made: list[Path] = []
+"""Folders that `make_folder` has made since `no_empty_folders` began."""
 
-    Raises:
-        InvalidInput: as `make_folder`.
-    """
-    wanted = path.expanduser()
-    missing = [one for one in (wanted, *wanted.parents) if not one.exists()]
+
+@contextmanager
+def no_empty_folders() -> Iterator[None]:
+    """A block, such as a command, that leaves nothing empty that `make_folder` made in it."""
     try:
-        yield make_folder(wanted, option)
+        yield
     finally:
-        with suppress(OSError):  # what holds something stays, and all above it
-            for one in missing:
-                one.rmdir()
+        while _made:
+            with suppress(OSError):  # what holds something stays, and all above it
+                _made.pop().rmdir()
 
 
 def make_folder(path: Path, option: str = "--out") -> Path:
@@ -50,6 +48,8 @@ def make_folder(path: Path, option: str = "--out") -> Path:
         InvalidInput: it cannot be made or written to.
     """
     path = path.expanduser()
+    missing = [one for one in (path, *path.parents) if not one.exists()]
+    _made.extend(reversed(missing))
     try:
         path.mkdir(parents=True, exist_ok=True)
         probe = path / ".dexctl-probe"

@@ -14,7 +14,7 @@ from rich.console import RenderableType
 from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from dexctl.cli.checks import check_count, make_folder, new_folder
+from dexctl.cli.checks import check_count, make_folder
 from dexctl.cli.output import Bar, notes, print_json, progress, results, table, to_json
 from dexctl.cli.parsing import Switch
 from dexctl.cli.plan_states import Sample, States
@@ -112,7 +112,8 @@ class Plan:
         check_used(self.scene)
         until, seconds = self._ends()
         (scene,) = self.scene.scenes()
-        with new_folder(self.out) as folder, locked(folder):
+        folder = make_folder(self.out)
+        with locked(folder):
             tree = self._grown(scene, expansion, axis, folder / TREE, until, seconds)
             found = describe(tree)
             if not tree.header.physics_steps and len(tree) > 1:

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
-from dexctl.cli.checks import new_folder
+from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
 from dexctl.cli.parsing import Switch, given
 from dexctl.controllers import label
@@ -73,8 +73,8 @@ class Train:
                 raise InvalidInput(f"with --resume, only --steps may be given: {other}")
         with _Bar(config.steps) as bar:
             if self.resume is None:
-                with new_folder(folder):
-                    found = train(config, folder, report=bar.show, remark=bar.remark)
+                make_folder(folder)
+                found = train(config, folder, report=bar.show, remark=bar.remark)
             else:
                 bar.remark(f"the run is kept in {folder}")
                 found = resume(folder, config.steps, report=bar.show, remark=bar.remark)

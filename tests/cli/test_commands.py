@@ -267,6 +267,25 @@ def test_bad_arguments_get_one_line_and_code_2(
     assert said in line
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "rotate --object none_such",
+        "check-grasp --initial-states none_such.npz",
+        "demo --object none_such",
+    ],
+)
+def test_a_refused_command_leaves_no_empty_folder(
+    line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    for out in (tmp_path / "deep" / "new", there):
+        assert main([*line.split(), "--out", str(out)]) == 2
+        assert "none_such" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [there]  # the user's own stays
+
+
 def test_one_line_where_the_terminal_knows_ascii_only() -> None:
     said = dexctl_command("rotate", "--seconds", "long", PYTHONIOENCODING="ascii")
     assert said.returncode == 2
