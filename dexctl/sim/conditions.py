@@ -13,6 +13,12 @@ from dexctl.settings import changed
 from dexctl.sim.scene_config import SceneConfig
 
 _MOST_OFFSET = 0.05  # of an encoder [rad]
+_NOISE: Mapping[str, Any] = {
+    "joint_offset": _MOST_OFFSET / 3**0.5,  # as wide as uniform noise of as much each way
+    "position_noise": 0.002,
+    "normal_noise": 0.1,
+    "force_noise": 0.5,
+}
 CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "nominal": {},
     "limits": {
@@ -25,18 +31,16 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
         "mass_range": (0.05, 0.25),
         "stiffness_range": (0.7, 1.3),
         "damping_range": (0.7, 1.3),
-        "joint_offset": _MOST_OFFSET / 3**0.5,  # as wide as uniform noise of as much each way
-        "position_noise": 0.002,
-        "normal_noise": 0.1,
-        "force_noise": 0.5,
+        **_NOISE,
         "action_latency": REAL_LATENCY,
     },
+    "noise": _NOISE,
     "bounded": {"joint_offset": 0.0, "joint_offset_range": (-_MOST_OFFSET, _MOST_OFFSET)},
     "any-gravity": {"gravity_tilt": 3.141592653589793},
 }
 """Settings of `SceneConfig` by name. "limits" are those of the hand in the thesis; "everything" is
-what a real hand may be off by, drawn for each episode; its encoders' offsets are normal, and behind
-it "bounded" draws them evenly."""
+what a real hand may be off by, drawn for each episode, and "noise" what of it its sensors are;
+offsets of encoders are normal there, and behind it "bounded" draws them evenly."""
 
 
 def under(config: SceneConfig, *conditions: str) -> SceneConfig:

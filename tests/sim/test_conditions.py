@@ -30,6 +30,12 @@ def test_bounded_offsets_are_as_wide_as_normal_ones() -> None:
     assert (high - low) / 12**0.5 == pytest.approx(normal)
 
 
+def test_noise_is_what_sensors_are_off_by_under_everything() -> None:
+    noisy, everything = under(SceneConfig(), "noise"), under(SceneConfig(), "everything")
+    assert noisy.sensing == everything.sensing != SceneConfig().sensing
+    assert noisy == SceneConfig(sensing=noisy.sensing)
+
+
 @pytest.mark.parametrize("name", list(CONDITIONS))
 def test_each_is_a_scene(name: str) -> None:
     assert (under(SceneConfig(), name) == SceneConfig()) == (name == "nominal")
