@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,21 @@ from dexctl.cli import main
 from dexctl.sim import GraspStates, Scene
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """A command in this process: Python and MuJoCo are there already."""
+
+    def done(*arguments: str) -> subprocess.CompletedProcess[str]:
+        code = main(arguments)
+        said = capsys.readouterr()
+        return subprocess.CompletedProcess(arguments, code, said.out, said.err)
+
+    return done
 
 
 def dexctl_command(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -85,7 +101,7 @@ def test_hands_say_whether_their_files_are_here(menagerie: Path, tmp_path: Path)
     assert found["hands"]["wonik_allegro"]["files"] == "missing"
 
 
-def test_rotate_as_json() -> None:
+def test_rotate_as_json(run: Run) -> None:
     arguments = ("rotate", "--controller", "igm", "--num-envs", "3", "--seconds", "0.5")
     done = dexctl_command(*arguments, "--gravity", "0,0,-9.81", "--seed", "5", "--json")
     assert done.returncode == 0, done.stderr
@@ -96,15 +112,13 @@ def test_rotate_as_json() -> None:
     assert found["rotation_rad"]["median"] > 0.05
     assert found["time_held_s"]["median"] == pytest.approx(0.5)
     # the same seeds give the same trials, alone or in a batch
-    again = dexctl_command(
-        *arguments[:3], "--num-envs", "1", "--seconds", "0.5", "--seed", "6", "--json"
-    )
+    again = run(*arguments[:3], "--num-envs", "1", "--seconds", "0.5", "--seed", "6", "--json")
     alone = json.loads(again.stdout)["trial_rotation_rad"]
     assert alone == pytest.approx(found["trial_rotation_rad"][1:2], abs=1e-6)
 
 
-def test_rotate_as_a_table_and_into_a_folder(tmp_path: Path) -> None:
-    done = dexctl_command(
+def test_rotate_as_a_table_and_into_a_folder(run: Run, tmp_path: Path) -> None:
+    done = run(
         "rotate", "--controller", "hold", "--num-envs", "2", "--seconds", "0.2",
         "--out", str(tmp_path / "new" / "folder"),
     )  # fmt: skip
@@ -127,11 +141,9 @@ def test_check_grasp() -> None:
     assert sum(finger["force_n"][0] for finger in found["fingers"]) > 5
 
 
-def test_check_grasp_says_what_was_tried(tmp_path: Path) -> None:
+def test_check_grasp_says_what_was_tried(run: Run, tmp_path: Path) -> None:
     """A sphere that no friction of this grip can carry."""
-    done = dexctl_command(
-        "check-grasp", "--object", "sphere", "--object-mass", "20", "--out", str(tmp_path)
-    )
+    done = run("check-grasp", "--object", "sphere", "--object-mass", "20", "--out", str(tmp_path))
     assert done.returncode == 1, done.stderr
     assert done.stderr.strip().splitlines()[-1].startswith("dexctl: dex5 does not hold 'sphere'")
     assert "it weighs 196.2 N, and 5 fingers pressing with 2 N carry 10.0 N" in done.stderr
@@ -142,8 +154,8 @@ def test_check_grasp_says_what_was_tried(tmp_path: Path) -> None:
     assert (tmp_path / "not_held.png").is_file() or "no picture" in done.stderr
 
 
-def test_check_grasp_fails_where_the_grasp_does() -> None:
-    done = dexctl_command("check-grasp", "--push-force", "30", "--num-envs", "2", "--json")
+def test_check_grasp_fails_where_the_grasp_does(run: Run) -> None:
+    done = run("check-grasp", "--push-force", "30", "--num-envs", "2", "--json")
     assert done.returncode == 1, done.stderr
     found = json.loads(done.stdout)
     assert found["dynamic"]["stable"] == [False, False]
@@ -169,9 +181,9 @@ def grasps(tmp_path: Path) -> Path:
     return tmp_path / "grasps.npz"
 
 
-def test_check_grasp_of_a_file(grasps: Path, tmp_path: Path) -> None:
+def test_check_grasp_of_a_file(run: Run, grasps: Path, tmp_path: Path) -> None:
     arguments = ("check-grasp", "--initial-states", str(grasps), "--seconds", "0.5", "--json")
-    done = dexctl_command(*arguments, "--object", "cylinder", "--out", str(tmp_path / "out"))
+    done = run(*arguments, "--object", "cylinder", "--out", str(tmp_path / "out"))
     assert done.returncode == 1, done.stderr
     found = json.loads(done.stdout)
     assert found["contacts"] == [5, 0]
@@ -179,19 +191,19 @@ def test_check_grasp_of_a_file(grasps: Path, tmp_path: Path) -> None:
     written = {path.name for path in (tmp_path / "out").iterdir()}
     drawn = set() if "no pictures" in done.stderr else {"grasp_0.png", "grasp_1.png"}
     assert written == {"check-grasp.json", *drawn}
-    first = dexctl_command(*arguments, "--object", "cylinder", "--num-envs", "1")
+    first = run(*arguments, "--object", "cylinder", "--num-envs", "1")
     assert first.returncode == 0, first.stderr
     for more, said in (
         (("--object", "sphere"), "has none of the object 'sphere', only of cube, cylinder"),
         (("--num-envs", "4"), "--num-envs is 4; --initial-states has 1 of the object 'cube'"),
     ):
-        done = dexctl_command(*arguments, *more)
+        done = run(*arguments, *more)
         assert done.returncode == 2
         assert said in one_line(done)
 
 
-def test_rotate_about_another_axis_with_limits(tmp_path: Path) -> None:
-    done = dexctl_command(
+def test_rotate_about_another_axis_with_limits(run: Run, tmp_path: Path) -> None:
+    done = run(
         "rotate", "--controller", "igm", "--object", "cylinder", "--num-envs", "2",
         "--seconds", "1", "--axis=-z", "--as-real", "--action-latency", "0.1",
         "--joint-noise", "0.001", "--push-force", "0.1", "--json", "--out", str(tmp_path),
@@ -294,8 +306,8 @@ def test_one_line_where_the_terminal_knows_ascii_only() -> None:
     )
 
 
-def test_a_failed_run_gets_one_line_and_code_1(tmp_path: Path) -> None:
-    done = dexctl_command("rotate", "--object-mass", "50")  # nothing holds 50 kg
+def test_a_failed_run_gets_one_line_and_code_1(run: Run, tmp_path: Path) -> None:
+    done = run("rotate", "--object-mass", "50")  # nothing holds 50 kg
     assert done.returncode == 1
     assert "does not hold 'cube'" in one_line(done)
     done = dexctl_command("rotate", "--hand", "wonik_allegro", DEXCTL_MENAGERIE=str(tmp_path))

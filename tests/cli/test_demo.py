@@ -54,7 +54,7 @@ def can_draw() -> bool:
 
 def test_demo_makes_its_files(tmp_path: Path, can_draw: bool) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "dexctl", "demo", "--seconds", "0.5", "--json", "--out", "out"],
+        [sys.executable, "-m", "dexctl", "demo", "--seconds", "0.2", "--json", "--out", "out"],
         cwd=tmp_path,
         env=ENVIRONMENT,
         capture_output=True,
@@ -83,7 +83,7 @@ def check_report(document: str) -> None:
     assert "<script" not in document and "@import" not in document
     for words in ("Results", "Coordinated gait", "Contact switching", "Time of a call"):
         assert words in document
-    for words in ("<td>seed</td><td>0</td>", "mujoco", "dexctl demo --seconds 0.5"):
+    for words in ("<td>seed</td><td>0</td>", "mujoco", "dexctl demo --seconds 0.2"):
         assert words in document
 
 
