@@ -23,6 +23,7 @@ _WORDS = {
     "stale_joints": ("joints read in vain", "%", 100.0),
     "mean_contacts": ("fingertips in touch, mean", "", 1.0),
     "rotation_rad": ("object's turn about z", "rad", 1.0),
+    "turning_speed_rad_s": ("its mean speed while the controller ran", "rad/s", 1.0),
     "object_lost_at_s": ("object lost at", "s", 1.0),
     "goal_reached_at_s": ("less than 0.2 rad from the goal at", "s", 1.0),
     "left_to_goal_rad": ("left to the goal at the end", "rad", 1.0),
@@ -73,6 +74,12 @@ def figures_of_merit(log: Log) -> dict[str, float]:
     if turn is not None:
         angle, held = turn
         found["rotation_rad"] = float(angle[-1])
+        turning = np.flatnonzero(held & (ticks.get("state", np.full(len(time), "run")) == "run"))
+        if len(turning) > 1:  # neither the approach nor what follows the end counts
+            first, last = turning[[0, -1]]
+            found["turning_speed_rad_s"] = float(
+                (angle[last] - angle[first]) / (time[last] - time[first])
+            )
         if not held[-1]:
             found["object_lost_at_s"] = float(time[held.sum()])
     left = left_to_goal(log)

@@ -61,7 +61,7 @@ def test_another_rate_than_the_controllers(dex5: dexctl.HandModel) -> None:
 
 def test_rotation_is_counted_until_the_object_is_lost(tmp_path: Path) -> None:
     pytest.importorskip("mcap", reason="needs the extra 'hardware'")
-    angle = 0.1 * np.arange(5)  # and in the fourth tick it has fallen
+    angle = np.array([0.0, 0.0, 0.2, 0.3, 0.4])  # and in the fourth tick it has fallen
     zeros = np.zeros(5)
     turned = np.stack([np.cos(angle / 2), zeros, zeros, np.sin(angle / 2)], axis=1)
     with LogWriter(tmp_path / "a.mcap") as log:
@@ -70,7 +70,7 @@ def test_rotation_is_counted_until_the_object_is_lost(tmp_path: Path) -> None:
                 "/tick",
                 {
                     "time": 0.5 * i,
-                    "state": "run",
+                    "state": "run" if i else "armed",
                     **{key: [0.0, 0.0] for key in ("q", "q_target", "torque")},
                     "fresh": [True, True],
                     "in_contact": [True],
@@ -82,6 +82,7 @@ def test_rotation_is_counted_until_the_object_is_lost(tmp_path: Path) -> None:
             )
     found = read_log(tmp_path / "a.mcap")
     assert figures_of_merit(found)["rotation_rad"] == pytest.approx(0.2)  # as trials count
+    assert figures_of_merit(found)["turning_speed_rad_s"] == pytest.approx(0.4)  # in the run
     assert figures_of_merit(found)["object_lost_at_s"] == pytest.approx(1.5)
     assert ("object lost at", "1.5 s") in in_words(figures_of_merit(found))
     assert "object lost at" in build(found)
