@@ -27,16 +27,17 @@ def check_count(option: str, value: int) -> int:
 
 
 _made: list[Path] = []
-"""Folders that `make_folder` has made since `no_empty_folders` began."""
+"""Folders that `make_folder` has made, those within others last."""
 
 
 @contextmanager
 def no_empty_folders() -> Iterator[None]:
     """A block, such as a command, that leaves nothing empty that `make_folder` made in it."""
+    before = len(_made)
     try:
         yield
     finally:
-        while _made:
+        while len(_made) > before:
             with suppress(OSError):  # what holds something stays, and all above it
                 _made.pop().rmdir()
 
