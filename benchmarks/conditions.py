@@ -84,6 +84,13 @@ CONDITIONS: dict[str, Condition] = {
     ),
     "limits-up": Condition("limits, palm up", ("limits",)),
     "limits": Condition("limits, any way up", ("limits", "any-gravity")),
+    "limits-by-touch": Condition(
+        "limits, any way up, tracked by touch",
+        ("limits", "any-gravity"),
+        changes={"object_pose": "touch"},
+        every=True,
+        hold=0.98,
+    ),
     "everything": Condition("everything, any way up", ("everything", "any-gravity"), hold=0.98),
     "everything-bounded": Condition(
         "everything, offsets up to 0.05 rad, any way up",
