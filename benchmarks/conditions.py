@@ -280,14 +280,12 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     write("conditions", given, figures(rows), [table], trials=rows, say=say)
 
 
-def is_long(row: dict[str, Any]) -> bool:
-    """Whether a row is of ten minutes."""
-    return CONDITIONS[row["condition"]].seconds is not None
-
-
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
-    """A panel for each object: the share of ten-minute episodes that still hold it."""
-    long = [row for row in rows if is_long(row)]
+    """A panel for each object: the share of ten-minute episodes that still hold it.
+
+    Under everything and limits: who does without them is another matter.
+    """
+    long = [row for row in rows if row["condition"] == "endurance"]
     objects = list(dict.fromkeys(row["object"] for row in long))
     subjects = list(dict.fromkeys(row["who"] for row in long))
     styles: dict[str, tuple[str, Any]] = {
@@ -364,7 +362,7 @@ def main() -> None:
     save(found, given, say=True)
     if given.cards:
         write_cards(found, given)
-    if given.picture is not None and any(is_long(row) for row in found):
+    if given.picture is not None and any(row["condition"] == "endurance" for row in found):
         draw(given.picture, found)
 
 
