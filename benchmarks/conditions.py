@@ -280,12 +280,8 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     write("conditions", given, figures(rows), [table], trials=rows, say=say)
 
 
-def draw(path: Path, rows: list[dict[str, Any]]) -> None:
-    """A panel for each object: the share of ten-minute episodes that still hold it.
-
-    Under everything and limits: who does without them is another matter.
-    """
-    long = [row for row in rows if row["condition"] == "endurance"]
+def draw(path: Path, long: list[dict[str, Any]]) -> None:
+    """A panel for each object: the share of ten-minute episodes that still hold it."""
     objects = list(dict.fromkeys(row["object"] for row in long))
     subjects = list(dict.fromkeys(row["who"] for row in long))
     styles: dict[str, tuple[str, Any]] = {
@@ -362,8 +358,9 @@ def main() -> None:
     save(found, given, say=True)
     if given.cards:
         write_cards(found, given)
-    if given.picture is not None and any(row["condition"] == "endurance" for row in found):
-        draw(given.picture, found)
+    long = [row for row in found if row["condition"] == "endurance"]
+    if given.picture is not None and long:
+        draw(given.picture, long)
 
 
 if __name__ == "__main__":

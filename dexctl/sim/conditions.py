@@ -39,8 +39,8 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "any-gravity": {"gravity_tilt": 3.141592653589793},
 }
 """Settings of `SceneConfig` by name. "limits" are those of the hand in the thesis; "everything" is
-what a real hand may be off by, drawn for each episode, and "noise" what of it its sensors are;
-offsets of encoders are normal there, and behind it "bounded" draws them evenly."""
+what a real hand may be off by, drawn for each episode, and "noise" the part of it that sensors
+have. Offsets of encoders are normal in both; behind either "bounded" draws them evenly."""
 
 
 def under(config: SceneConfig, *conditions: str) -> SceneConfig:

@@ -146,7 +146,8 @@ def test_bad_input(
 ) -> None:
     folder = tmp_path / "run"
     assert main(["train", *arguments.split(), "--out", str(folder)]) in (1, 2)
-    assert re.search(said, capsys.readouterr().err.splitlines()[-1])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(said, line)
     assert not folder.exists()
 
 
