@@ -63,8 +63,10 @@ class SetPointLimits:
     """Limits the speed of set-points, their distance from the joints, and their range.
 
     Where a speed is too high the whole change of that hand is scaled down, so that the fingers
-    keep moving together. Joints whose change is zero are left alone, so controllers that own
-    different fingers stay orthogonal.
+    keep moving together. The speed is kept whatever was measured: a set-point that a joint has left
+    behind, or that is out of its range, comes back at the speed allowed, so that an encoder that
+    reads nonsense for a step moves no motor far. Joints whose change is zero are left alone, so
+    controllers that own different fingers stay orthogonal.
 
     Args:
         hand: the hand, for its joint and speed limits.
@@ -89,7 +91,8 @@ class SetPointLimits:
         # a joint beyond its limit would turn the bounds round: the limit wins
         target = np.minimum(np.maximum(target, np.minimum(low, self._upper)), high)
         target = np.maximum(target, self._lower)
-        return np.where(change != 0, target - q_target, 0.0)
+        moved = np.minimum(np.maximum(target - q_target, -self._step), self._step)
+        return np.where(change != 0, moved, 0.0)
 
 
 class LimitedGoal(NamedTuple):

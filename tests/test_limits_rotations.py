@@ -37,9 +37,10 @@ def limits(dex5: HandModel) -> SetPointLimits:
 
 @given(q=ANGLES, lead=ANGLES, change=ANGLES)
 def test_set_points_stay_within_range_and_lead(dex5, q, lead, change):
+    """Where they were, to a step's length: what they come back from is the next test's."""
     limited = SetPointLimits(dex5, SPEED, LEAD, PERIOD)
     q = dex5.clip(q)
-    q_target = dex5.clip(q + 0.1 * lead)
+    q_target = dex5.clip(q + np.clip(0.1 * lead, -LEAD - 0.05, LEAD + 0.05))
     moved = limited(q, q_target, change)
     target = q_target + moved
     driven = change != 0
@@ -61,14 +62,23 @@ def test_speed_is_limited_for_the_hand_as_a_whole(dex5, change):
     np.testing.assert_allclose(moved, expected, atol=1e-12)
 
 
+@given(q=ANGLES, q_target=ANGLES, change=ANGLES, factor=st.sampled_from([1.0, 1e6]))
+def test_speed_is_kept_wherever_the_joints_are(dex5, q, q_target, change, factor):
+    """Set-points too far from their joints, or out of range, come back at the speed allowed."""
+    moved = SetPointLimits(dex5, SPEED, LEAD, PERIOD)(factor * q, q_target, change)
+    assert (np.abs(moved) <= np.minimum(SPEED, dex5.velocity) * PERIOD).all()
+
+
 def test_a_joint_beyond_its_limit_is_brought_back(dex5, limits):
     q = (dex5.lower + dex5.upper) / 2
-    q[0] = dex5.upper[0] + 0.5  # more than the lead away
+    q[0] = dex5.upper[0] + 0.15
     change = np.zeros(15)
     change[0] = 0.01
-    target = q + limits(q, q.copy(), change)
-    assert target[0] == dex5.upper[0]
-    np.testing.assert_array_equal(target[1:], q[1:])
+    first = q + limits(q, q.copy(), change)
+    assert first[0] == pytest.approx(dex5.upper[0] + 0.15 - SPEED * PERIOD, abs=1e-15)
+    second = first + limits(q, first, change)
+    assert second[0] == pytest.approx(dex5.upper[0], abs=1e-15)
+    np.testing.assert_array_equal(second[1:], q[1:])
 
 
 def test_joints_that_rest_are_left_alone(dex5, limits):
@@ -79,7 +89,7 @@ def test_joints_that_rest_are_left_alone(dex5, limits):
     change[4] = 1e-3
     moved = limits(q, q_target, change)
     assert np.flatnonzero(moved).tolist() == [4]
-    assert np.isclose(q_target[4] + moved[4], q[4] + LEAD)
+    assert moved[4] == pytest.approx(-SPEED * PERIOD)
 
 
 def test_batch_is_each_alone(dex5, limits):

@@ -551,5 +551,6 @@ def in_grasp_step(
             bottom = min(max(q[e, d] - max_lead, lower), upper)
             top = min(q[e, d] + max_lead, upper)
             goal = max(min(max(goal, bottom), top), lower)
-            change[e, d] = goal - q_target[e, d]
+            step = joint_limits[2, d]
+            change[e, d] = min(max(goal - q_target[e, d], -step), step)
     return change, desired, residual, held, origin, reach
