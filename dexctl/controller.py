@@ -35,10 +35,12 @@ class Controller(ABC):
         hand: the hand that is controlled.
         control_period: time between two calls of :meth:`act` [s].
         object: name of the object that it was made for, as a tree is of one; None: any.
+        gravity: under which it was made, hand frame, ``(3,)`` [m/s^2]; None: any.
         tracks: whether it acts only where the state has the object's pose.
     """
 
     object: str | None = None
+    gravity: tuple[float, ...] | None = None
     tracks: bool = False
 
     def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:

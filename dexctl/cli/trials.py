@@ -103,7 +103,10 @@ def make_controller(
         if not known or ":" in name:  # what stands after it is wrong, not the hand
             raise
         raise SimulationError(f"{name} cannot drive {hand.name}: {error}") from error
-    if remark := controllers.other_object(name, made, config.object):
+    from dexctl.sim.checks import gravity_vector
+
+    given = gravity_vector(config.gravity)
+    if remark := controllers.made_for_another(name, made, config.object, given):
         notes().print(f"dexctl: {remark}")
     return made
 

@@ -13,7 +13,7 @@ pace there, where it is to go slower than it was trained to: ``dex5-robust@0.8``
 
 from dexctl.controllers.composed import centred, commanded, regulated, sequence, steered
 from dexctl.controllers.hold import Hold
-from dexctl.controllers.making import make, other_object, resolve
+from dexctl.controllers.making import made_for_another, make, resolve
 from dexctl.controllers.table import GROUP, POLICIES, ControllerEntry, entry, is_named, names
 from dexctl.controllers.words import absolute, is_policy_file, keeps_period, label, paced
 
@@ -30,9 +30,9 @@ __all__ = [
     "is_policy_file",
     "keeps_period",
     "label",
+    "made_for_another",
     "make",
     "names",
-    "other_object",
     "paced",
     "regulated",
     "resolve",

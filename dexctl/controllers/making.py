@@ -7,6 +7,7 @@ from importlib import import_module
 from inspect import Parameter, signature
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from dexctl.controller import Controller
@@ -14,9 +15,11 @@ from dexctl.controllers.table import POLICIES, entry, is_named, names, split
 from dexctl.controllers.words import is_policy_file, paced
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
-from dexctl.validation import unit_axis
+from dexctl.validation import shown_numbers, unit_axis
 
 _Z = (0.0, 0.0, 1.0)  # the axis of every controller that is not told another one
+
+_SAME_GRAVITY = 0.5  # [m/s^2]; 3 degrees
 
 _FUNCTION = "module:function"
 
@@ -124,12 +127,25 @@ def resolve(
         raise UnknownName("controller", name, (*names(), *error.known, _FUNCTION)) from None
 
 
-def other_object(name: str, controller: Controller, objects: Sequence[str]) -> str | None:
-    """What to know where a controller that was made for one object is given another."""
+def made_for_another(
+    name: str, controller: Controller, objects: Sequence[str], gravity: ArrayLike
+) -> str | None:
+    """What to know where a controller was made for another object or gravity than it is given.
+
+    Args:
+        name: what it is called.
+        controller: which.
+        objects: names of what it is to turn.
+        gravity: under which, hand frame, ``(3,)`` [m/s^2].
+    """
     others = [one for one in objects if controller.object not in (None, one)]
-    if not others:
+    if others:
+        return f"{name} is made for the object {controller.object}; this is {', '.join(others)}"
+    given = np.asarray(gravity, float) + 0.0  # no -0
+    own = given if controller.gravity is None else np.array(controller.gravity)
+    if np.linalg.norm(given - own) <= _SAME_GRAVITY:
         return None
-    return f"{name} is made for the object {controller.object}; this is {', '.join(others)}"
+    return f"{name} is made for gravity {shown_numbers(own)} m/s²; this is {shown_numbers(given)}"
 
 
 def _keywords(kind: Callable[..., Controller]) -> tuple[list[str], bool]:

@@ -59,7 +59,7 @@ class CommandedTurning(BatchController):
         about = [axis_of(one) for one in turners]
         super().__init__(hand, control_period=period)
         self.turners = tuple(turners)
-        self.object = turners[0].object
+        self.object, self.gravity = turners[0].object, turners[0].gravity
         self.tracks = any(one.tracks for one in turners)
         found: list[tuple[int, HandSymmetry]] = []
         axes: list[Floats] = []

@@ -77,7 +77,7 @@ class RegulatedTurning(BatchController):
         period = check_parts(hand, {"turner": turner})
         super().__init__(hand, control_period=period)
         self.config = config = with_changes(RegulatedTurningConfig, config, changes)
-        self.turner, self.object = turner, turner.object
+        self.turner, self.object, self.gravity = turner, turner.object, turner.gravity
         self.axis = axis_of(turner)
         self.in_grasp = InGraspManipulation(
             hand,

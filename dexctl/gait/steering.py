@@ -84,7 +84,8 @@ class GoalSteering(BatchController):
         super().__init__(hand, control_period=control_period)
         check_parts(hand, {"turner": turner}, control_period)
         self.config = with_changes(GoalSteeringConfig, config, changes)
-        self.turner, self.object, self.tracks = turner, turner.object, turner.tracks
+        self.turner, self.tracks = turner, turner.tracks
+        self.object, self.gravity = turner.object, turner.gravity
         self.grasp = GoalGait(hand, control_period=turner.control_period, axis=axis)
         self._start(0)
 

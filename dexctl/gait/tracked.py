@@ -54,7 +54,8 @@ class TrackedByTouch(BatchController):
     ) -> None:
         period = check_parts(hand, {"the controller": controller})
         super().__init__(hand, control_period=period)
-        self.controller, self.object = controller, controller.object
+        self.controller = controller
+        self.object, self.gravity = controller.object, controller.gravity
         self.tracking = TouchTracking(hand, surface, config, control_period=period)
         self._position = check_vector("position", position, 3, "three finite numbers [m]")
         self._quaternion = unit_quaternion("quaternion", quaternion)

@@ -65,7 +65,8 @@ class PlannedGait(BatchController):
         if not isinstance(tree, Tree):
             tree = Tree.load(tree)
         self.route = Route(tree, hand, self.config.rotation)
-        self.axis, self.object = self.route.frame.axis, tree.header.object
+        self.axis = self.route.frame.axis
+        self.object, self.gravity = tree.header.object, tree.header.gravity
         if axis is not None and not np.allclose(unit_axis(axis), self.axis, atol=1e-6):
             raise InvalidInput(
                 f"the tree turns about {tuple(self.axis.tolist())}; expected {unit_axis(axis)}"

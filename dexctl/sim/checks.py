@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +46,14 @@ def gravity_vector(gravity: str | ArrayLike) -> Floats:
             raise UnknownName("gravity", gravity, [*GRAVITY, "a vector (x, y, z) in m/s^2"])
         return np.array(GRAVITY[gravity])
     return vector("gravity", gravity, 3)
+
+
+def gravity_name(gravity: Sequence[float]) -> str | tuple[float, ...]:
+    """What `gravity_vector` makes this of: "up", "down", or the vector as it is."""
+    for name, own in GRAVITY.items():
+        if np.allclose(gravity, own, atol=1e-9):
+            return name
+    return tuple(gravity)
 
 
 def rows(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:

@@ -22,6 +22,7 @@ from dexctl.gait import TrackedByTouch
 from dexctl.hands.identity import identity
 from dexctl.rotations import multiply
 from dexctl.settings import absolute, only, to_plain
+from dexctl.sim.checks import gravity_vector
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
 from dexctl.validation import check_name, unit_quaternion
@@ -53,7 +54,8 @@ class Run(HandOptions):
 
     The hand first goes to the grasp of the object named, at the speed limit, while somebody (or
     the emulator) holds the object in place; 1 s later the controller starts. --object is the
-    object's name, none, or auto: a cylinder, or none for sine and chirp. What a real hand cannot be
+    object's name, none, or auto: the one that the controller is made for, as a tree is, else a
+    cylinder, or none for sine and chirp. What a real hand cannot be
     told, pushes and noise for example, is for --emulate. Ctrl-C holds for 0.2 s and takes the
     torque off; a second one takes it off at once.
     """
@@ -106,6 +108,14 @@ class Run(HandOptions):
             check_goal(self.controller, self.goal, pose)
         model, calibration = self.load()
         controller = make_controller(self.controller, model, asked, tracked=pose == "touch")
+        if controller.object is not None and self.scene.object == (AUTO,):
+            held = replace(held, object=(controller.object,))
+        if held.object != (NOTHING,):
+            gravity = gravity_vector(held.gravity)
+            if remark := controllers.made_for_another(
+                self.controller, controller, held.object, gravity
+            ):
+                notes().print(remark)
         period = controller.control_period
         folder = make_folder(self.out)
         keep_earlier(folder)

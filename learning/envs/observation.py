@@ -260,6 +260,8 @@ ORIENTATIONS = ("goal_quaternion", "goal_rotation")
 """The parts that tell which orientation is wanted."""
 TURNING = "goal_angular_velocity"
 """The part that tells how the object is wanted to turn."""
+ANY = "any"
+"""The command to turn about any direction, beside axes by name."""
 
 
 def check_names(parts: Sequence[str], what: str = "parts") -> tuple[str, ...]:

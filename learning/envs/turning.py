@@ -12,6 +12,7 @@ from dexctl.rotations import inverse, multiply, rotate, shortest, twist_angle
 from dexctl.settings import Names, Range, Vector
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import AXES, check_name, check_numbers, check_whole, unit_axis
+from learning.envs.observation import ANY
 from learning.envs.task import Judgement, Step, Task
 
 if TYPE_CHECKING:
@@ -81,10 +82,6 @@ class TurningConfig:
     def direction(self) -> tuple[float, float, float]:
         """``axis`` as a unit vector."""
         return unit_axis(self.axis)
-
-
-ANY = "any"
-"""The command that is any direction."""
 
 
 class Motion(NamedTuple):

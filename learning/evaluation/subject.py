@@ -13,6 +13,7 @@ from dexctl import controllers, hands
 from dexctl.controller import Controller
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import Vector, changed, from_plain, get, leaves
+from dexctl.sim.checks import gravity_name, gravity_vector
 from dexctl.validation import unit_axis
 from learning.config import TrainConfig
 from learning.evaluation.protocol import Protocol
@@ -62,10 +63,15 @@ class Subject:
         return () if self.trained is None else self.trained.guide_names
 
     def remark(self, protocol: Protocol) -> str | None:
-        """What to know before its figures are read: another hand or object than it is made for."""
+        """What to know before its figures are read: that it is made for something else."""
         if isinstance(self.controller, Policy):
-            return other_hand(self.controller)
-        return controllers.other_object(self.name, self.controller, protocol.scene.object)
+            return other_hand(self.controller) or self.controller.other_commands(
+                protocol.task.turning.commands, protocol.task.turning.command_speed_range
+            )
+        scene = protocol.scene
+        return controllers.made_for_another(
+            self.name, self.controller, scene.object, gravity_vector(scene.gravity)
+        )
 
     def protocol(self, **changes: Any) -> Protocol:
         """As in training, but undisturbed: without noise, late sensors, pushes and given starts.
@@ -88,6 +94,8 @@ class Subject:
         own["control_period"] = float(self.controller.control_period)
         if self.controller.object is not None:
             own["object"] = (self.controller.object,)
+        if self.controller.gravity is not None:
+            own["gravity"] = gravity_name(self.controller.gravity)
         if self.axis is not None:
             own["axis"] = self.axis
         return changed(base, own | changes)

@@ -66,7 +66,8 @@ def load(
         UnknownName: it is none of these, or there is no hand of that name.
         InvalidInput: no such file, one that is damaged or of another format, or a policy for
             another hand, with other observation parts, or for an axis that cannot be turned to
-            this one; a pace that is none.
+            this one; an axis or speed that a policy which is told was never told in training; a
+            pace that is none.
     """
     plain, own_pace = paced(str(name_or_path))
     path = _path(plain)
@@ -83,7 +84,9 @@ def load(
             model, layers, spec, card, goal=goal, angular_velocity=angular_velocity,
             pace=own_pace if pace is None else pace,
         )  # fmt: skip
-        return found if axis is None else found.turned_to(axis)
+        found = found if axis is None else found.turned_to(axis)
+        found.check_commanded()
+        return found
     except DexctlError as error:
         raise InvalidInput(f"policy {str(path)!r}: {error}") from None
 

@@ -15,10 +15,18 @@ from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, fill
 from dexctl.state import Floats, GraspState
 from dexctl.symmetry import HandSymmetry, symmetries, turned_to
-from dexctl.validation import check_mask, check_vector, shown_numbers, unit_axis, unit_quaternion
+from dexctl.validation import (
+    AXES,
+    check_mask,
+    check_vector,
+    shown_numbers,
+    unit_axis,
+    unit_quaternion,
+)
 from learning.envs.action import SetPointAction
 from learning.envs.history import History
 from learning.envs.observation import (
+    ANY,
     ATTITUDES,
     ORIENTATIONS,
     POSES,
@@ -130,6 +138,32 @@ class PolicySpec(NamedTuple):
                 raise InvalidInput(f"the policy has {name} {own[name]}; expected {other[name]}")
 
 
+class Commanded(NamedTuple):
+    """How objects were to turn in a training.
+
+    Attributes:
+        names: axes by name, or "any".
+        speeds: lowest and highest [rad/s].
+    """
+
+    names: tuple[str, ...]
+    speeds: tuple[float, float]
+
+    def knows(self, names: Sequence[str], speeds: tuple[float, float]) -> bool:
+        """Whether these axes and speeds are among them."""
+        return (ANY in self.names or set(names) <= set(self.names)) and self.fits(speeds)
+
+    def fits(self, speeds: tuple[float, float]) -> bool:
+        """Whether its speeds reach from the lower of these to the higher."""
+        low, high = self.speeds
+        return low * (1 - 1e-6) <= speeds[0] and speeds[1] <= high * (1 + 1e-6)
+
+    def __str__(self) -> str:
+        low, high = self.speeds
+        fast = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        return f"commands {', '.join(self.names)} at {fast} rad/s"
+
+
 def other_hand(policy: Policy) -> str | None:
     """What to know where a policy acts with another hand than it was trained with.
 
@@ -229,6 +263,43 @@ class Policy(Controller):
             raise InvalidInput(
                 f"{what} is {value}, and the policy, which observes "
                 f"{', '.join(self.observation.parts)}, was not trained to be told; expected None"
+            )
+
+    @property
+    def commanded(self) -> Commanded | None:
+        """What it was trained to be told; None where it is not told, or nobody knows."""
+        if TURNING not in self.observation.parts:
+            return None
+        try:
+            turning = self.card["trained"]["env"]["task"]["turning"]
+            low, high = turning["command_speed_range"]
+            return Commanded(tuple(turning["commands"]), (float(low), float(high)))
+        except (LookupError, TypeError, ValueError):
+            return None
+
+    def other_commands(self, names: Sequence[str], speeds: tuple[float, float]) -> str | None:
+        """What to know where it is told to turn as it was never told in training."""
+        own = self.commanded
+        if own is None or not names or own.knows(names, speeds):
+            return None
+        return (
+            f"the policy was trained with {own}; this is {Commanded(tuple(names), speeds)}, which "
+            "it may take for anything"
+        )
+
+    def check_commanded(self) -> None:
+        """Raise InvalidInput where it is told to turn as it was never told in training."""
+        own, asked = self.commanded, self._wanted["goal_angular_velocity"]
+        if own is None or asked is None:
+            return
+        seen = asked if self.symmetry is None else self.symmetry.inverse.of_turnings(asked)
+        speed = float(np.linalg.norm(seen))
+        along = (np.dot(seen, AXES[name]) for name in own.names if name in AXES)
+        known = ANY in own.names or any(speed - one <= 1e-6 * speed for one in along)
+        if not known or not own.fits((speed, speed)):
+            raise InvalidInput(
+                f"angular_velocity is {shown_numbers(asked)} rad/s; the policy was trained with "
+                f"{own}"
             )
 
     @property

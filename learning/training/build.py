@@ -7,6 +7,7 @@ import torch
 
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
+from dexctl.sim.checks import gravity_vector
 from dexctl.sim.shapes import Shape
 from learning.algorithms import Algorithm, Cloning, make
 from learning.config import TrainConfig
@@ -14,6 +15,7 @@ from learning.envs.symmetry import Fixed, Symmetry
 from learning.envs.tasks import NO_GOALS
 from learning.envs.vector import ManipulationVectorEnv, make_vector
 from learning.exploration import Guide, Guiding
+from learning.starts.base import Remark
 
 
 def build_env(config: TrainConfig) -> ManipulationVectorEnv:
@@ -21,15 +23,23 @@ def build_env(config: TrainConfig) -> ManipulationVectorEnv:
     return make_vector(config.env, config.num_envs, config.seed)
 
 
-def build_guide(config: TrainConfig, env: ManipulationVectorEnv) -> Guide:
-    """Who acts in them."""
+def build_guide(
+    config: TrainConfig, env: ManipulationVectorEnv, remark: Remark = lambda text: None
+) -> Guide:
+    """Who acts in them; ``remark`` is called with what people should know of them."""
     period, axis = env.simulation.control_period, config.env.task.direction
     guides = [Guiding.of(name) for name in config.guides]
     made = [
         controllers.resolve(guide.controller, env.hand, control_period=period, axis=axis)
         for guide in guides
     ]
-    where = [np.isin(env.objects, guide.objects or env.objects) for guide in guides]
+    objects = np.array(env.objects)
+    where = [np.isin(objects, guide.objects or objects) for guide in guides]
+    gravity = gravity_vector(config.env.scene.gravity)
+    for guide, controller, there in zip(guides, made, where, strict=True):
+        turned = tuple(dict.fromkeys(objects[there].tolist()))
+        if text := controllers.made_for_another(guide.controller, controller, turned, gravity):
+            remark(text)
     return Guide(env, made, config.guidance, config.seed, where or None)
 
 

@@ -161,7 +161,8 @@ class Trainer:
         self.folder = folder
         self.env = build_env(config)
         self.config = config = config.with_mass(self.env.hand.config)
-        self.guide = build_guide(config, self.env)
+        self._remark = remark or (lambda text: None)
+        self.guide = build_guide(config, self.env, self._remark)
         self.algorithm = build_algorithm(config, self.env)
         self.curriculum = Curriculum(config.curriculum, config.env.episode_steps)
         self.starts = make_starts(config.starts, self.env, config.seed)
@@ -169,7 +170,6 @@ class Trainer:
         self.row: dict[str, float] = {}
         self.stop = False
         self._report = report or (lambda step, row: None)
-        self._remark = remark or (lambda text: None)
         self._next_log, self._next_checkpoint = config.log_every, config.checkpoint_every
         self._begin_clocks(0.0, 0.0)
         self.env.simulation.randomiser.schedule = config.curriculum.level_schedule

@@ -152,11 +152,16 @@ def test_it_is_known_by_name(
     ):
         assert isinstance(made, PlannedGait) and made.control_period == 0.02
     assert made.object == "l_shape"
-    assert controllers.other_object(name, made, ("l_shape",)) is None
-    assert controllers.other_object(name, made, ("l_shape", "cube")) == (
+    up, remark = l_shape.gravity, controllers.made_for_another
+    assert made.gravity == tuple(up)
+    assert remark(name, made, ("l_shape",), up) is None
+    assert remark(name, made, ("l_shape", "cube"), up) == (
         f"{name} is made for the object l_shape; this is cube"
     )
-    assert controllers.other_object("igm", controllers.make("igm", l_shape.hand), ("cube",)) is None
+    assert remark(name, made, ("l_shape",), -up) == (
+        f"{name} is made for gravity (0, 0, -9.81) m/s²; this is (0, 0, 9.81)"
+    )
+    assert remark("igm", controllers.make("igm", l_shape.hand), ("cube",), -up) is None
     assert controllers.entry(name).title == "planned gait"
     assert controllers.label("planned:a/b.npz") == "planned-a-b.npz"
     with pytest.raises(InvalidInput, match="expected planned:FILE"):

@@ -350,10 +350,12 @@ def test_a_controller_for_one_object_is_evaluated_with_that_object(
     said = capsys.readouterr()
     assert json.loads(said.out)["protocol"]["scene"]["object"] == ["cylinder"]
     assert "is made for" not in said.err
-    assert run(name, *short, "--object", "cube") == 0
-    assert "tree.npz is made for the object cylinder; this is cube" in " ".join(
-        capsys.readouterr().err.split()
-    )
+    for other, said in (
+        (("--object", "cube"), "the object cylinder; this is cube"),
+        (("--gravity", "down"), "gravity (0, 0, -9.81) m/s²; this is (0, 0, 9.81)"),
+    ):
+        assert run(name, *short, *other) == 0
+        assert f"tree.npz is made for {said}" in " ".join(capsys.readouterr().err.split())
 
 
 def test_goals_have_figures_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
@@ -366,3 +368,20 @@ def test_goals_have_figures_of_their_own(capsys: pytest.CaptureFixture[str]) -> 
     found = json.loads(capsys.readouterr().out)["results"][0]
     assert found["share_first_goal_reached"]["count"] == 2
     assert found["first_goal_median_s"]["value"] == 0.2
+
+
+def test_commands_that_a_policy_was_never_told_are_named(
+    policy_of: MakePolicy, capsys: pytest.CaptureFixture[str]
+) -> None:
+    turning = {"commands": ["x", "z"], "command_speed_range": [0.5, 0.5]}
+    env = {"task": {"turning": turning}, "parts": ["q", "goal_angular_velocity"]}
+    name = policy_of({"trained": {"env": env}}, **env)
+    short = ("--episodes", "1", "--seconds", "0.1")
+    assert run(name, *short) == 0
+    assert "was trained with" not in capsys.readouterr().err
+    for other, said in (
+        (("--commands", "y"), "commands x, z at 0.5 rad/s; this is commands y at 0.5 rad/s"),
+        (("--command-speed-range", "0.2,1"), "this is commands x, z at 0.2 to 1 rad/s"),
+    ):
+        assert run(name, *short, *other) == 0
+        assert said in " ".join(capsys.readouterr().err.split())

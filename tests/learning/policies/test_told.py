@@ -19,7 +19,8 @@ from learning.policies import Layer, Policy, PolicySpec
 
 GOAL = np.array([0.8, 0.0, 0.0, 0.6])
 SPIN = np.array([0.0, -0.4, 0.0])
-TRAINED = {"env": {"task": {"turning": {"command_speed_range": [0.3, 0.5]}}}}
+TURNING = {"commands": ["x", "-y", "z"], "command_speed_range": [0.3, 0.5]}
+TRAINED = {"env": {"task": {"turning": TURNING}}}
 
 
 def made(hand: dexctl.HandModel, *parts: str) -> tuple[list[Layer], PolicySpec]:
@@ -101,6 +102,31 @@ def test_an_axis_is_a_command(
     policies.save(path, layers, spec)
     with pytest.raises(InvalidInput, match="does not say at which speeds"):
         controllers.resolve(str(path), dex5, axis=(0.0, -1.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"axis": "y"}, r"angular_velocity is \(0, 0.4, 0\) rad/s; .* commands x, -y, z at 0.3 to"),
+        ({"axis": (1.0, 0.0, 1.0)}, r"angular_velocity is \(0.283, 0, 0.283\) rad/s"),
+        ({"angular_velocity": (0.0, 0.0, 1.0)}, "at 0.3 to 0.5 rad/s"),
+        ({"angular_velocity": (0.0, 0.0, 0.2)}, "at 0.3 to 0.5 rad/s"),
+        ({"angular_velocity": (0.0, 0.0, -0.4)}, r"angular_velocity is \(0, 0, -0.4\)"),
+    ],
+)
+def test_what_it_was_never_told_is_refused(
+    dex5: dexctl.HandModel, tmp_path: Path, told: dict[str, Any], message: str
+) -> None:
+    layers, spec = made(dex5, "goal_angular_velocity")
+    path = tmp_path / "commanded.npz"
+    policies.save(path, layers, spec, {"trained": TRAINED})
+    with pytest.raises(InvalidInput, match=message):
+        policies.load(path, **told)
+    for known in (0.3 * SPIN / 0.4, 0.5 * SPIN / 0.4, (0.0, 0.0, 0.35)):
+        policies.load(path, angular_velocity=known)
+    anywhere = {**TURNING, "commands": ["x", "any"]}
+    policies.save(path, layers, spec, {"trained": {"env": {"task": {"turning": anywhere}}}})
+    assert policies.load(path, axis=(1.0, 0.0, 1.0)).commanded == (("x", "any"), (0.3, 0.5))
 
 
 @pytest.mark.parametrize(
