@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -464,9 +465,8 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         if not each:
             continue
         own = {title: Pooled(those) for title, those in each.items()}
-        title, best = max(
-            own.items(), key=lambda one: (one[1].share("full_turn")["share"], one[1].turned)
-        )
+        # of those that turn as far as is asked the surest, by these episodes; else the furthest
+        title, best = max(own.items(), key=partial(_rank, task))
         sure = task.most_dropped >= 1.0 or best.share("dropped")["share"] < task.most_dropped
         found.append(
             Figure(
@@ -496,6 +496,12 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
                 )
             )
     return found
+
+
+def _rank(task: Task, one: tuple[str, Pooled]) -> tuple[bool, float, float]:
+    pooled = one[1]
+    far = pooled.turned >= task.turns * FULL_TURN
+    return far, -pooled.share("dropped")["share"] if far else 0.0, pooled.turned
 
 
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:

@@ -401,11 +401,15 @@ class _Bar:
             )
             if end
         ]
-        rate = now.nodes / max(now.seconds, 1e-9)
+        rate = max(now.nodes, 1) / max(now.seconds, 1e-9)
         if self._task is None:
             self._task = self._bar.add_task("", total=1.0, left="")
         self._bar.note = refusals(now)
-        left = "" if seconds is None else f"at most {max(seconds - now.seconds, 0.0):.0f} s more"
+        # nodes come at a pace that is known; how soon the rotation does, nobody knows
+        ends = [] if nodes is None else [f"about {max(nodes - now.nodes, 0) / rate:.0f} s more"]
+        if seconds is not None:
+            ends.append(f"at most {max(seconds - now.seconds, 0.0):.0f} s more")
+        left = ", ".join(ends)
         wanted = "" if until is None else f" of {until:.2f}"
         of = "" if nodes is None else f" of {nodes}"
         self._bar.update(

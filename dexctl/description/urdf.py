@@ -28,6 +28,7 @@ def read_urdf(path: Path) -> Description:
             raise HandModelError(f"{path}: several {kind} are called {', '.join(map(repr, twice))}")
     for link in robot.findall("link"):
         _check_mass(path, link)
+        _check_link(path, link)
     place = {name: i for i, name in enumerate(links)}
     incoming: dict[str, tuple[str, _UrdfJoint]] = {}
     for element in elements:
@@ -100,6 +101,29 @@ def _check_mass(path: Path, link: ElementTree.Element) -> None:
             f"{path}: link {link.get('name')!r} has the mass {text!r}; expected a finite number, "
             "0 or more"
         )
+
+
+_COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "radius": 1, "length": 1}
+"""How many numbers attributes of a link have."""
+
+
+def _check_link(path: Path, link: ElementTree.Element) -> None:
+    """Raise HandModelError where a number of its inertia or of what it collides with is none."""
+    for part in (*link.findall("inertial"), *link.findall("collision")):
+        for element in part.iter():
+            for name in _COUNTS.keys() & element.keys():
+                text, count = element.get(name, ""), _COUNTS[name]
+                try:
+                    values = [float(word) for word in text.split()]
+                except ValueError:
+                    values = []
+                if len(values) != count or not np.isfinite(values).all():
+                    raise HandModelError(
+                        f"{path}: link {link.get('name')!r} has {name}={text!r} in the "
+                        f"<{element.tag}> of its <{part.tag}>; expected {count} finite number"
+                        + "s"
+                        * (count > 1)
+                    )
 
 
 class _UrdfJoint:

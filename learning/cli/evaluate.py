@@ -45,8 +45,9 @@ class Evaluate:
     protocol: Annotated[Protocol, NESTED] = field(default_factory=Protocol)
     conditions: tuple[str, ...] = ()
     """Named ranges and limits in place of those of the training: nominal (none), limits (of a real
-    hand), everything (that is uncertain of one), bounded (its encoders' offsets are), any-gravity;
-    several add up. Or a .toml of settings. What is typed beside them counts."""
+    hand), everything (that is uncertain of one), noise (of its sensors), bounded (its encoders'
+    offsets are), any-gravity; several add up. Or a .toml of settings. What is typed beside them
+    counts."""
     transfer: tuple[str, ...] = ()
     """Policies instead of one, of an object each (cube=POLICY if no card says); gives R_ij/R_ii.
     --object has further ones."""

@@ -164,9 +164,14 @@ def _disturbances(rows: Sequence[Evaluation]) -> Table:
     return made
 
 
+ANY_WAY = 3.14
+"""From which tilt of gravity on a hand is held any way up [rad]."""
+
+
 def _setting(protocol: Protocol) -> str:
     task = protocol.task
-    said = [protocol.scene.palm, about(task.axis)]
+    any_way = protocol.scene.randomisation.gravity_tilt >= ANY_WAY
+    said = ["any way up" if any_way else protocol.scene.palm, about(task.axis)]
     if task.goals != NO_GOALS:
         said[1] = f"goals {task.goals}"
     elif task.turning.commands:

@@ -66,10 +66,14 @@ def test_an_mjcf_chain(tmp_path: Path) -> None:
 
 URDF = """<?xml version="1.0" encoding="ENCODING"?>
 <robot name="h"><link name="base"/><link name="tip"><inertial><mass value="MASS"/>
-<inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<origin xyz="0 0 CENTRE"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/>
+</inertial><collision><geometry><sphere radius="RADIUS"/></geometry></collision></link>
 <joint name="j" type="revolute"><parent link="base"/><child link="tip"/><origin xyz="0.1 0 ORIGIN"/>
 <axis xyz="0 1 0"/><limit lower="LOWER" upper="1" effort="1" velocity="1"/></joint></robot>"""
-GOOD = {"ENCODING": "utf-8", "MASS": "0.1", "ORIGIN": "0", "LOWER": "-1"}
+GOOD = {
+    "ENCODING": "utf-8", "MASS": "0.1", "CENTRE": "0.01", "RADIUS": "0.01", "ORIGIN": "0",
+    "LOWER": "-1",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -83,6 +87,9 @@ GOOD = {"ENCODING": "utf-8", "MASS": "0.1", "ORIGIN": "0", "LOWER": "-1"}
         ("MASS", "nan", "link 'tip' has the mass 'nan'; expected a finite number"),
         ("MASS", "-1", "link 'tip' has the mass '-1'"),
         ("MASS", "heavy", "link 'tip' has the mass 'heavy'"),
+        ("CENTRE", "inf", "link 'tip' has xyz='0 0 inf' in the <origin> of its <inertial>; exp"),
+        ("RADIUS", "wide", "link 'tip' has radius='wide' in the <sphere> of its <collision>; exp"),
+        ("RADIUS", "1 2", "radius='1 2' in the <sphere> .* expected 1 finite number$"),
         ("ENCODING", "klingon", "not well-formed XML: unknown encoding"),
         ("ENCODING", "shift_jis", "not well-formed XML: multi-byte encodings"),
     ],
