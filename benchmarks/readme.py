@@ -43,6 +43,7 @@ HEADINGS = {
     "servo_hand": "The emulated servo hand",
     "servo_goals": "Goals on the emulated servo hand",
     "hardware_loop": "Runner of the servo hand",
+    "identification": "What the joints are like",
     "bus": "Servo bus",
     "hands": "Grasps of other hands",
     "hands_turning": "Other hands turn objects",

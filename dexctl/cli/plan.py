@@ -160,7 +160,8 @@ class Plan:
         check_ends(self.nodes, seconds, until, self.bounds, self.goals)
         expansion.check(scene, np.array(axis))
         try:
-            with _Bar(self.nodes, seconds, until) as show:
+            first = 1 if before is None else len(before)  # the root
+            with _Bar(self.nodes, seconds, until, first) as show:
                 if self.ray is not None:
                     return grow_on_cluster(
                         self.scene, expansion, self.ray, jobs, progress=show, resume=self.resume,
@@ -370,11 +371,29 @@ def _print(tree: Tree, found: dict[str, Any]) -> None:
     results().print(shown)
 
 
+def time_left(now: Progress, first: int, nodes: int | None, seconds: float | None) -> str:
+    """How long it will take: nodes come at a pace; how soon the rotation does, nobody knows.
+
+    Args:
+        now: how far it is.
+        first: nodes that were there when the tree began to grow, or to grow on.
+        nodes, seconds: that it is to have, and to take; None: no end by them.
+    """
+    ends, grown = [], now.nodes - first
+    if nodes is not None and grown > 0:
+        ends.append(f"about {max(nodes - now.nodes, 0) * now.seconds / grown:.0f} s more")
+    if seconds is not None:
+        ends.append(f"at most {max(seconds - now.seconds, 0.0):.0f} s more")
+    return ", ".join(ends)
+
+
 class _Bar:
     """What is shown while a tree grows: what has come of it, time left, and what is refused."""
 
-    def __init__(self, nodes: int | None, seconds: float | None, until: float | None) -> None:
-        self._ends = nodes, seconds, until
+    def __init__(
+        self, nodes: int | None, seconds: float | None, until: float | None, first: int
+    ) -> None:
+        self._ends, self._first = (nodes, seconds, until), first
         self._bar = _Noted(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=20),
@@ -401,15 +420,11 @@ class _Bar:
             )
             if end
         ]
-        rate = max(now.nodes, 1) / max(now.seconds, 1e-9)
+        rate = (now.nodes - self._first) / max(now.seconds, 1e-9)
         if self._task is None:
             self._task = self._bar.add_task("", total=1.0, left="")
         self._bar.note = refusals(now)
-        # nodes come at a pace that is known; how soon the rotation does, nobody knows
-        ends = [] if nodes is None else [f"about {max(nodes - now.nodes, 0) / rate:.0f} s more"]
-        if seconds is not None:
-            ends.append(f"at most {max(seconds - now.seconds, 0.0):.0f} s more")
-        left = ", ".join(ends)
+        left = time_left(now, self._first, nodes, seconds)
         wanted = "" if until is None else f" of {until:.2f}"
         of = "" if nodes is None else f" of {nodes}"
         self._bar.update(

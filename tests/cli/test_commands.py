@@ -64,8 +64,8 @@ def test_overview_lists_the_commands() -> None:
 
 
 @pytest.mark.parametrize("name", ["demo", "rotate", "check-grasp", "hands"])
-def test_each_command_explains_itself(name: str) -> None:
-    done = dexctl_command(name, "--help")
+def test_each_command_explains_itself(name: str, run: Run) -> None:
+    done = run(name, "--help")
     assert done.returncode == 0
     assert f"usage: dexctl {name}" in done.stdout
     assert "--json" in done.stdout
@@ -306,10 +306,13 @@ def test_one_line_where_the_terminal_knows_ascii_only() -> None:
     )
 
 
-def test_a_failed_run_gets_one_line_and_code_1(run: Run, tmp_path: Path) -> None:
+def test_a_failed_run_gets_one_line_and_code_1(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     done = run("rotate", "--object-mass", "50")  # nothing holds 50 kg
     assert done.returncode == 1
     assert "does not hold 'cube'" in one_line(done)
-    done = dexctl_command("rotate", "--hand", "wonik_allegro", DEXCTL_MENAGERIE=str(tmp_path))
+    monkeypatch.setenv("DEXCTL_MENAGERIE", str(tmp_path))
+    done = run("rotate", "--hand", "wonik_allegro")
     assert done.returncode == 1
     assert "wonik_allegro" in one_line(done)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from dexctl.cli import main
-from dexctl.cli.plan import refusals
+from dexctl.cli.plan import refusals, time_left
 from dexctl.planning import Progress, Tree, grow, sample_grasps
 from dexctl.sim import GraspStates, SceneConfig, Simulation
 
@@ -369,3 +369,14 @@ def test_starts_from_a_tree_and_from_samples(
         assert main(["plan", *line]) == 2
         err = capsys.readouterr().err
         assert why in err and err.count("\n") == 1
+
+
+def test_time_left_is_that_of_what_grew_since() -> None:
+    """Not of what a tree that is gone on with had before."""
+    now = Progress(
+        nodes=300, expansions=900, rotation=1.0, seconds=10.0, refused={}, physics_steps=0
+    )
+    assert time_left(now, 100, 700, None) == "about 20 s more"
+    assert time_left(now, 100, 700, 15.0) == "about 20 s more, at most 5 s more"
+    assert time_left(now, 300, 700, None) == ""  # it has not begun
+    assert time_left(now, 100, None, 60.0) == "at most 50 s more"

@@ -35,7 +35,7 @@ def test_it_does_something_to_every_hand(together):
     assert np.any(together.actions, axis=(0, 2)).all()
 
 
-@pytest.mark.parametrize("row", range(COUNT))
+@pytest.mark.parametrize("row", [0, 3, COUNT - 1])
 def test_each_of_a_batch_acts_as_it_would_alone(make, cylinder, together, row):
     """One hand (), and a batch of one, with the seed that belongs to it."""
     single, one = make(cylinder.hand), make(cylinder.hand)
