@@ -45,6 +45,9 @@ class CurriculumConfig:
         shares = ("level_start", "widen_above", "narrow_below")
         check_numbers(self, positive=("level_step",), fractions=shares)
         check_whole(self, level_steps=1)
+        # by the words of the command line, too: mass-range
+        named = {name.replace("-", "_"): part for name, part in self.level_schedule.items()}
+        object.__setattr__(self, "level_schedule", named)
         for name, part in self.level_schedule.items():
             check_name("range of level_schedule", name, WIDENED)
             if not 0.0 <= part[0] <= part[1] <= 1.0:

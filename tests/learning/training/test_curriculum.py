@@ -92,6 +92,11 @@ def test_bad_settings(changes: dict[str, Any], text: str) -> None:
         CurriculumConfig(**changes)
 
 
+def test_ranges_go_by_the_words_of_the_command_line_too() -> None:
+    found = CurriculumConfig(level_start=0.0, level_schedule={"mass-range": (0.0, 0.5)})
+    assert found.level_schedule == {"mass_range": (0.0, 0.5)}
+
+
 def test_nothing_to_widen() -> None:
     with pytest.raises(InvalidInput, match="no ranges to widen"):
         TrainConfig(curriculum=CONFIG)
