@@ -48,6 +48,9 @@ class Condition:
         every: whether it is measured with all objects, not the first two only.
         hold, speed, turns: what is asked for, share of episodes held, mean speed [rad/s] and
             turns of the median episode; 0: nothing. Where a share is, `FLOOR` is the least of it.
+        floor_turns: the least of ``turns``.
+        drift, fingertips: the most, in the median [mm], and the least share of the time in which
+            only fingertips touch, of the object that does worst; where ``turns`` are asked.
     """
 
     text: str
@@ -67,6 +70,12 @@ class Condition:
 FLOOR = 0.9
 """Share of the episodes that have to be held at least."""
 
+
+_ENDURANCE: dict[str, Any] = {
+    "seconds": 600.0, "hold": 0.95, "turns": 80.0, "floor_turns": 46.0, "drift": 10.0,
+    "fingertips": 0.995,
+}  # fmt: skip
+"""What is asked of ten minutes."""
 
 CONDITIONS: dict[str, Condition] = {
     "up": Condition("nominal, palm up"),
@@ -116,22 +125,12 @@ CONDITIONS: dict[str, Condition] = {
     "endurance": Condition(
         "everything and limits, any way up, ten minutes",
         ("everything", "limits", "any-gravity"),
-        seconds=600.0,
-        hold=0.95,
-        turns=80.0,
-        floor_turns=46.0,
-        drift=10.0,
-        fingertips=0.995,
+        **_ENDURANCE,
     ),
     "endurance-noise": Condition(
         "noise of touch and encoders, any way up, ten minutes, by an exact tracker who needs one",
         ("noise", "any-gravity"),
-        seconds=600.0,
-        hold=0.95,
-        turns=80.0,
-        floor_turns=46.0,
-        drift=10.0,
-        fingertips=0.995,
+        **_ENDURANCE,
     ),
 }
 

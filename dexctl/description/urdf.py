@@ -28,7 +28,7 @@ def read_urdf(path: Path) -> Description:
             raise HandModelError(f"{path}: several {kind} are called {', '.join(map(repr, twice))}")
     for link in robot.findall("link"):
         _check_mass(path, link)
-        _check_link(path, link)
+        _check_shapes(path, link)
     place = {name: i for i, name in enumerate(links)}
     incoming: dict[str, tuple[str, _UrdfJoint]] = {}
     for element in elements:
@@ -107,7 +107,7 @@ _COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "radius": 1, "length": 1}
 """How many numbers attributes of a link have."""
 
 
-def _check_link(path: Path, link: ElementTree.Element) -> None:
+def _check_shapes(path: Path, link: ElementTree.Element) -> None:
     """Raise HandModelError where a number of its inertia or of what it collides with is none."""
     for part in (*link.findall("inertial"), *link.findall("collision")):
         for element in part.iter():
@@ -118,11 +118,10 @@ def _check_link(path: Path, link: ElementTree.Element) -> None:
                 except ValueError:
                     values = []
                 if len(values) != count or not np.isfinite(values).all():
+                    wanted = "a finite number" if count == 1 else f"{count} finite numbers"
                     raise HandModelError(
                         f"{path}: link {link.get('name')!r} has {name}={text!r} in the "
-                        f"<{element.tag}> of its <{part.tag}>; expected {count} finite number"
-                        + "s"
-                        * (count > 1)
+                        f"<{element.tag}> of its <{part.tag}>; expected {wanted}"
                     )
 
 

@@ -24,6 +24,7 @@ from learning.evaluation.robustness import disturbance, levels_of
 from learning.evaluation.transfer import Trained, Transfer
 
 _UNITS = {"joint_noise": " rad", "position_noise": " m", "normal_noise": " rad", "push_force": " N"}
+_ANY_WAY = 3.14  # from which tilt of gravity on a hand is held any way up [rad]
 
 
 def described(
@@ -164,13 +165,9 @@ def _disturbances(rows: Sequence[Evaluation]) -> Table:
     return made
 
 
-ANY_WAY = 3.14
-"""From which tilt of gravity on a hand is held any way up [rad]."""
-
-
 def _setting(protocol: Protocol) -> str:
     task = protocol.task
-    any_way = protocol.scene.randomisation.gravity_tilt >= ANY_WAY
+    any_way = protocol.scene.randomisation.gravity_tilt >= _ANY_WAY
     said = ["any way up" if any_way else protocol.scene.palm, about(task.axis)]
     if task.goals != NO_GOALS:
         said[1] = f"goals {task.goals}"

@@ -19,11 +19,18 @@ from dexctl.hand import HandModel
 from dexctl.validation import unit_axis
 from learning.envs.observation import TURNING
 from learning.policies.file import annotate, read, save
-from learning.policies.policy import Layer, Policy, PolicySpec, check_pace, other_hand
+from learning.policies.policy import (
+    Commanded,
+    Layer,
+    Policy,
+    PolicySpec,
+    check_pace,
+    other_hand,
+)
 
 __all__ = [
-    "Layer", "Policy", "PolicySpec", "annotate", "check_pace", "learned", "load", "names",
-    "other_hand", "save",
+    "Commanded", "Layer", "Policy", "PolicySpec", "annotate", "check_pace", "learned", "load",
+    "names", "other_hand", "save",
 ]  # fmt: skip
 
 FOLDER = Path(__file__).parent
@@ -138,14 +145,13 @@ def _commanded_speed(card: Mapping[str, Any]) -> float:
     Raises:
         InvalidInput: its card does not say.
     """
-    try:
-        low, high = card["trained"]["env"]["task"]["turning"]["command_speed_range"]
-        return 0.5 * (float(low) + float(high))
-    except (KeyError, TypeError, ValueError):
+    own = Commanded.of_card(card)
+    if own is None:
         raise InvalidInput(
             "the policy's card does not say at which speeds it was trained; expected "
             "angular_velocity in place of axis"
-        ) from None
+        )
+    return 0.5 * sum(own.speeds)
 
 
 def _path(name_or_path: str) -> Path:

@@ -149,6 +149,16 @@ class Commanded(NamedTuple):
     names: tuple[str, ...]
     speeds: tuple[float, float]
 
+    @classmethod
+    def of_card(cls, card: Mapping[str, Any]) -> Commanded | None:
+        """What a card says of its training; None where it does not."""
+        try:
+            turning = card["trained"]["env"]["task"]["turning"]
+            low, high = turning["command_speed_range"]
+            return cls(tuple(turning["commands"]), (float(low), float(high)))
+        except (LookupError, TypeError, ValueError):
+            return None
+
     def knows(self, names: Sequence[str], speeds: tuple[float, float]) -> bool:
         """Whether these axes and speeds are among them."""
         return (ANY in self.names or set(names) <= set(self.names)) and self.fits(speeds)
@@ -268,14 +278,7 @@ class Policy(Controller):
     @property
     def commanded(self) -> Commanded | None:
         """What it was trained to be told; None where it is not told, or nobody knows."""
-        if TURNING not in self.observation.parts:
-            return None
-        try:
-            turning = self.card["trained"]["env"]["task"]["turning"]
-            low, high = turning["command_speed_range"]
-            return Commanded(tuple(turning["commands"]), (float(low), float(high)))
-        except (LookupError, TypeError, ValueError):
-            return None
+        return Commanded.of_card(self.card) if TURNING in self.observation.parts else None
 
     def other_commands(self, names: Sequence[str], speeds: tuple[float, float]) -> str | None:
         """What to know where it is told to turn as it was never told in training."""

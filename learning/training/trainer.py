@@ -20,6 +20,7 @@ from learning import policies
 from learning.algorithms.base import Transitions
 from learning.config import ALGORITHMS, TrainConfig
 from learning.exploration import POLICY
+from learning.starts.base import Remark
 from learning.starts.catalogue import make_starts
 from learning.starts.check import check_starts
 from learning.starts.planned import planned_alike
@@ -33,7 +34,6 @@ from learning.training.log import RunLog, Tally, who_acted
 from learning.training.run_folder import RunFolder
 
 Report = Callable[[int, Mapping[str, float]], None]
-Remark = Callable[[str], None]
 
 # what may differ between a checkpoint's configuration and the run's: it fits all the same
 _MAY_CHANGE = (

@@ -89,7 +89,7 @@ GOOD = {
         ("MASS", "heavy", "link 'tip' has the mass 'heavy'"),
         ("CENTRE", "inf", "link 'tip' has xyz='0 0 inf' in the <origin> of its <inertial>; exp"),
         ("RADIUS", "wide", "link 'tip' has radius='wide' in the <sphere> of its <collision>; exp"),
-        ("RADIUS", "1 2", "radius='1 2' in the <sphere> .* expected 1 finite number$"),
+        ("RADIUS", "1 2", "radius='1 2' in the <sphere> .* expected a finite number$"),
         ("ENCODING", "klingon", "not well-formed XML: unknown encoding"),
         ("ENCODING", "shift_jis", "not well-formed XML: multi-byte encodings"),
     ],
