@@ -19,6 +19,8 @@ PLACE_ERROR = 1e-5  # between kinematics and simulator, at most [m]
 TIP_DISTANCE = 0.02  # of a fingertip's point from what it touches with, at most [m]
 POSTURES = 20
 HELD_SHARE = 0.9  # of trials that hold, at least
+TRIALS = 16  # disturbed grasps, palm up and as many palm down
+SECONDS = 10.0  # for which they are to hold
 
 
 class HandCheck(NamedTuple):
@@ -39,8 +41,8 @@ def check_hand(
     hand: HandModel,
     object: str | None = None,  # noqa: A002
     *,
-    seconds: float = 10.0,
-    trials: int = 16,
+    seconds: float = SECONDS,
+    trials: int = TRIALS,
     seed: int = 0,
     built: Callable[[Scene], None] | None = None,
 ) -> Iterator[HandCheck]:
@@ -155,20 +157,36 @@ def _reach(scene: Scene, seed: int) -> HandCheck:
     return HandCheck("reach", True, f"every finger comes to the {scene.object}")
 
 
+def held_trials(
+    hand: HandModel,
+    name: str,
+    palm: str,
+    *,
+    seconds: float = SECONDS,
+    trials: int = TRIALS,
+    seed: int = 0,
+) -> int:
+    """How many of some disturbed grasps of an object the set-points alone hold.
+
+    Raises:
+        SimulationError: it does not settle.
+    """
+    from dexctl.controllers import Hold
+    from dexctl.sim import BatchSimulator, Scene, run
+
+    scene = Scene.build(hand, name, palm)
+    with BatchSimulator(scene, num_envs=trials, disturbance=0.02, seed=seed) as sim:
+        trace = run(Hold(hand, control_period=sim.control_period), sim, seconds)
+    return int((~trace.dropped).sum())
+
+
 def _holds(
     hand: HandModel, name: str, palm: str, seconds: float, trials: int, seed: int
 ) -> HandCheck:
-    from dexctl.sim import BatchSimulator, Scene, run
-
     what = f"holds, palm {palm}"
     try:
-        scene = Scene.build(hand, name, palm)
-        with BatchSimulator(scene, num_envs=trials, disturbance=0.02, seed=seed) as sim:
-            from dexctl.controllers import Hold
-
-            trace = run(Hold(hand, control_period=sim.control_period), sim, seconds)
+        held = held_trials(hand, name, palm, seconds=seconds, trials=trials, seed=seed)
     except DexctlError as error:
         return HandCheck(what, False, str(error))
-    held = int((~trace.dropped).sum())
     said = f"{held} of {trials} disturbed grasps of the {name} for {seconds:g} s"
     return HandCheck(what, held >= HELD_SHARE * trials, said)

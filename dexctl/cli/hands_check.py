@@ -10,6 +10,7 @@ import tyro
 from rich.text import Text
 
 from dexctl.cli.checks import check_count, check_seconds
+from dexctl.cli.hand_checks import SECONDS, TRIALS, check_hand
 from dexctl.cli.output import notes, print_json, results, table
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import DexctlError
@@ -29,9 +30,9 @@ class Check:
     """Name of the hand, its toml, or its MJCF or URDF file."""
     object: str | None = None
     """Name of the object that it is to hold; none: what its toml says, else a cube."""
-    seconds: float = 10.0
+    seconds: float = SECONDS
     """How long it has to hold that [s]."""
-    trials: int = 16
+    trials: int = TRIALS
     """How many disturbed grasps, palm up and as many palm down."""
     seed: int = 0
     """Seed of postures and disturbances."""
@@ -42,7 +43,6 @@ class Check:
 
     def run(self) -> int:
         from dexctl import hands
-        from dexctl.cli.hand_checks import check_hand
 
         check_seconds(self.seconds, 0.05)
         check_count("--trials", self.trials)

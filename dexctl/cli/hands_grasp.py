@@ -1,13 +1,15 @@
-"""The grasp that ``dexctl hands add`` proposes: of those suggested, the one turned furthest."""
+"""The grasp that ``dexctl hands add`` proposes: of those that hold, the one turned furthest."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from dexctl.cli.hand_checks import HELD_SHARE, TRIALS, held_trials
 from dexctl.cli.output import notes, progress
 from dexctl.exceptions import SimulationError
 from dexctl.hand_config import HandConfig
@@ -37,7 +39,8 @@ class Turning:
     screening_trials: int = 4
     """Of every grasp there."""
     finalists: int = 4
-    """Of all objects together, which are tried again palm up and palm down."""
+    """Of all objects together, which are tried again palm up and palm down; of those that plain
+    holding holds, as ``dexctl hands check`` wants it, where there are so many."""
     seconds: float = 40.0
     """Simulated, each trial of these [s]."""
     trials: int = 8
@@ -148,6 +151,16 @@ def turned(
     return Turned(held, rotation, clear, trials, seconds)
 
 
+def holds(config: HandConfig, name: str, seed: int) -> bool:
+    """Whether plain holding holds an object, palm up and down, as ``dexctl hands check`` wants."""
+    hand = config.build()
+    try:
+        held = (held_trials(hand, name, palm, seed=seed) for palm in ("up", "down"))
+        return all(one >= HELD_SHARE * TRIALS for one in held)
+    except SimulationError:  # with the digits of a toml, it does not settle
+        return False
+
+
 def chosen(
     hand: HandModel,
     config: HandConfig,
@@ -156,7 +169,15 @@ def chosen(
     seed: int,
     say: Callable[[str], None],
 ) -> tuple[SuggestedGrasp, Turned | None]:
-    """The grasp that the gait turns furthest; without trials, or where none turns, the first."""
+    """Of the grasps that hold, the one that the gait turns furthest.
+
+    Without trials of the gait, or where none turns, it is the first that holds; where none holds,
+    they are compared all the same.
+    """
+
+    def keeps(grasp: SuggestedGrasp) -> bool:
+        # by other disturbances than those of `dexctl hands check`, which has this seed unless told
+        return holds(grasp.applied(config, hand.joint_names), grasp.object, seed + 1)
 
     def trial(grasp: SuggestedGrasp, palms: Sequence[str], trials: int, seconds: float) -> Turned:
         found = grasp.applied(config, hand.joint_names)
@@ -164,24 +185,25 @@ def chosen(
         bar.update(task, advance=len(palms) * seconds)
         return made
 
+    best: tuple[SuggestedGrasp, Turned] | None = None
     able = [one for one in grasps if len(one.fingers) >= LEAST_FINGERS] if how.grasps else []
-    if not able:
-        return grasps[0], None
-    say(f"turning {len(able)} grasps with the coordinated gait")
-    best: tuple[SuggestedGrasp, Turned | None] = grasps[0], None
-    with progress(notes()) as bar:
-        finals = 2 * how.seconds * min(how.finalists, len(able))
-        task = bar.add_task("turning", total=how.screening * len(able) + finals)
-        first = [trial(one, ("up",), how.screening_trials, how.screening).value for one in able]
-        for i in np.argsort(first, kind="stable")[::-1][: how.finalists]:
-            if not first[i]:  # let go, or not turned at all: no finalist
-                bar.update(task, advance=2 * how.seconds)
-                continue
-            found = trial(able[i], ("up", "down"), how.trials, how.seconds)
-            say(f"{able[i].note}; {found.note}")
-            if found.value > (best[1].value if best[1] else 0.0):
-                best = able[i], found
-    return best
+    if able:
+        say(f"turning {len(able)} grasps with the coordinated gait")
+        with progress(notes()) as bar:
+            task = bar.add_task("turning", total=None)
+            first = [trial(one, ("up",), how.screening_trials, how.screening).value for one in able]
+            order = np.argsort(first, kind="stable")[::-1]
+            turning = [able[i] for i in order if first[i]]  # neither let go, nor not turned at all
+            held = list(islice(filter(keeps, turning), how.finalists))
+            finals = held or turning[: how.finalists]
+            done = how.screening * len(able)
+            bar.update(task, total=done + 2 * how.seconds * len(finals))
+            for grasp in finals:
+                found = trial(grasp, ("up", "down"), how.trials, how.seconds)
+                say(f"{grasp.note}; {found.note}")
+                if found.value > (best[1].value if best else 0.0):
+                    best = grasp, found
+    return best or (next(filter(keeps, grasps), grasps[0]), None)
 
 
 def further(

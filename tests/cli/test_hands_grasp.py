@@ -74,6 +74,7 @@ def test_the_grasp_that_turns_furthest_is_chosen(
         return Turned(shares, turns, dict.fromkeys(palms, 1.0), trials, seconds)
 
     monkeypatch.setattr(hands_grasp, "turned", trial)
+    monkeypatch.setattr(hands_grasp, "holds", lambda *_: True)
     grasps = [grasp_of(dex5, size) for size in rotation] + [grasp_of(dex5, 0.08, fingers=3)]
     how = Turning(finalists=2, screening=5.0, screening_trials=3, seconds=20.0)
     said: list[str] = []
@@ -88,6 +89,57 @@ def test_the_grasp_that_turns_furthest_is_chosen(
     for few, settings in ((grasps, replace(how, grasps=0)), (grasps[4:], how)):
         best, found = chosen(dex5, dex5.config, few, settings, seed=0, say=said.append)
         assert best is few[0] and found is None
+
+
+@pytest.mark.parametrize(
+    ("keep", "taken", "tried"),
+    [
+        ((0.04, 0.05, 0.06), 0.06, (0.06, 0.05)),
+        ((0.04, 0.05), 0.05, (0.05, 0.04)),  # the one turned furthest is let go of palm down
+        ((0.04,), 0.04, (0.04,)),
+        ((), 0.06, (0.06, 0.05)),  # none holds: the one turned furthest, and `check` says so
+    ],
+)
+def test_what_plain_holding_drops_is_not_chosen(
+    dex5: dexctl.HandModel,
+    monkeypatch: pytest.MonkeyPatch,
+    keep: tuple[float, ...],
+    taken: float,
+    tried: tuple[float, ...],
+) -> None:
+    asked: list[float] = []
+
+    def trial(config: HandConfig, name: str, palms: tuple[str, ...], *rest: Any) -> Turned:
+        size = config.object.size
+        assert size is not None
+        if len(palms) > 1:
+            asked.append(size)
+        return Turned(
+            dict.fromkeys(palms, 1.0), dict.fromkeys(palms, size), dict.fromkeys(palms, 1.0), 8, 9.0
+        )
+
+    def holds(config: HandConfig, name: str, seed: int) -> bool:
+        assert seed == 4  # not the one that `dexctl hands check` is given
+        return config.object.size in keep
+
+    monkeypatch.setattr(hands_grasp, "turned", trial)
+    monkeypatch.setattr(hands_grasp, "holds", holds)
+    grasps = [grasp_of(dex5, size) for size in (0.04, 0.05, 0.06)]
+    how = Turning(finalists=2)
+    best, found = chosen(dex5, dex5.config, grasps, how, seed=3, say=lambda _: None)
+    assert best.size == taken and found is not None
+    assert tuple(asked) == tried
+    # without the gait, the first that holds
+    best, found = chosen(
+        dex5, dex5.config, grasps[::-1], replace(how, grasps=0), seed=3, say=lambda _: None
+    )
+    assert best.size == (max(keep) if keep else 0.06) and found is None
+
+
+def test_a_grasp_holds_as_the_check_of_a_hand_wants_it(dex5: dexctl.HandModel) -> None:
+    assert hands_grasp.holds(dex5.config, "cube", seed=1)
+    away = replace(dex5.config, object=replace(dex5.config.object, centre=(0.0, 0.0, 0.6)))
+    assert not hands_grasp.holds(away, "cube", seed=1)
 
 
 @pytest.mark.parametrize(
