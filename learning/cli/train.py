@@ -59,8 +59,6 @@ class Train:
     def run(self) -> int:
         if find_spec("torch") is None:
             raise MissingExtra("dexctl train", "learning")
-        from learning.training.trainer import resume, train
-
         config = self.config
         if self.resume is None:
             config.env.scene.check_objects()
@@ -71,6 +69,8 @@ class Train:
             other = difference(before, to_plain(config))
             if other is not None:
                 raise InvalidInput(f"with --resume, only --steps may be given: {other}")
+        from learning.training.trainer import resume, train  # slow to import, so after the checks
+
         with _Bar(config.steps) as bar:
             if self.resume is None:
                 make_folder(folder)

@@ -40,6 +40,11 @@ def test_configurations_load_no_engine() -> None:
     assert loaded(f"import learning, {configs}, {learners}") == ["tyro"]
 
 
+def test_a_training_that_is_refused_loads_no_torch() -> None:
+    told = "from dexctl.cli.app import main; main(['train', '--env.object', 'nosuch'])"
+    assert "torch" not in loaded(told)
+
+
 def test_what_runs_a_policy_needs_no_torch() -> None:
     hidden = "import sys; sys.modules.update(dict.fromkeys(['torch', 'stable_baselines3']))"
     modules = "learning.policies, learning.envs.vector, learning.evaluation.rollout"
