@@ -9,11 +9,14 @@
 4. The object is let go and the grasp rests for a second.
 
 Where the object slips, it is tried turned about the vertical, and with the next points.
+
+The same scene settles to the same bits, so what was found last is kept for the next of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from hashlib import sha256
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
@@ -40,10 +43,11 @@ _SETTLING_TIME = 1.0  # [s]
 _YAWS = np.deg2rad([0.0, 9.0, 18.0, 30.0, 36.0, 45.0, 60.0, 90.0, 120.0, 150.0, 180.0])
 _WEAKEST_SHARE = 0.4  # no finger presses with less than this part of the strongest
 _RAYS = "on rays from its centre towards the open fingertips"
+_KEPT = 64  # settled grasps of the process, a few kB each
 
 
 class SettledGrasp(NamedTuple):
-    """A grasp at rest.
+    """A grasp at rest; its arrays are read-only.
 
     Attributes:
         qpos: ``(nq,)``, MuJoCo's order.
@@ -70,6 +74,31 @@ def settle(scene: Scene, *, thorough: bool = True) -> SettledGrasp:
     Raises:
         SettleFailure: the object does not stay in the hand, whichever way it is turned.
     """
+    key = (thorough, *_fingerprint(scene))
+    found = _kept.pop(key, None) or _settled(scene, thorough)
+    _kept[key] = found  # the last again
+    if len(_kept) > _KEPT:
+        _kept.pop(next(iter(_kept)), None)
+    return found
+
+
+_kept: dict[tuple[object, ...], SettledGrasp] = {}
+
+
+def _fingerprint(scene: Scene) -> tuple[object, ...]:
+    """All that a settled grasp depends on: equal for scenes that settle alike, to the bit."""
+    model = np.empty(mujoco.mj_sizeModel(scene.model), np.uint8)
+    mujoco.mj_saveModel(scene.model, None, model)
+    arrays = (
+        model, scene.gravity, scene.grasp_centre, scene.open_q, scene.grasp_q, scene.lower,
+        scene.upper, scene.stiffness, scene.ctrl_per_radian, scene.hand.effort,
+    )  # fmt: skip
+    parts = [b"" if one is None else np.ascontiguousarray(one).tobytes() for one in arrays]
+    named = (scene.object_body, scene.object_mass, scene.object_width, scene.grip)
+    return (*(sha256(part).digest() for part in parts), *named, repr(scene.hand.config))
+
+
+def _settled(scene: Scene, thorough: bool) -> SettledGrasp:
     attempts = []
     for yaw, plan in _plans(scene, thorough):
         held = _HeldObject(scene, yaw)
@@ -80,6 +109,8 @@ def settle(scene: Scene, *, thorough: bool = True) -> SettledGrasp:
             continue
         grasp, attempt = _attempt(scene, held, chosen)
         if grasp is not None:
+            for values in (grasp.qpos, grasp.qvel, grasp.q_target, grasp.sensordata):
+                values.flags.writeable = False
             return grasp
         attempts.append(attempt)
     raise SettleFailure(scene, tuple(attempts))

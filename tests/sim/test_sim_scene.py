@@ -14,6 +14,8 @@ from dexctl import HandModel, hands
 from dexctl.exceptions import HandModelError, InvalidInput, SimulationError, UnknownName
 from dexctl.hand_config import HeldObject, PostureConfig
 from dexctl.sim import BatchSimulator, Scene, SceneConfig, object_names
+from dexctl.sim import settle as settling
+from dexctl.sim.settle import SettledGrasp
 from dexctl.sim.settle_failure import SettleFailure
 
 
@@ -260,3 +262,35 @@ def test_numbers_that_are_none(given: dict[str, object], said: str) -> None:
 def test_a_size_to_search_a_grasp_for(size: float) -> None:
     with pytest.raises(InvalidInput, match="object_size is .*; expected a finite number above 0"):
         Scene.suggest_grasp("dex5", "cube", object_size=size)
+
+
+def test_what_has_settled_once_is_not_settled_again(
+    dex5: HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(settling, "_kept", {})
+    monkeypatch.setattr(settling, "_KEPT", 2)
+    counted: list[Scene] = []
+
+    def settled(scene: Scene, thorough: bool) -> SettledGrasp:
+        counted.append(scene)
+        return before(scene, thorough)
+
+    before = settling._settled
+    monkeypatch.setattr(settling, "_settled", settled)
+    first = Scene.build(dex5, "cube").settled
+    assert Scene.build(dex5, "cube").settled is first and len(counted) == 1
+    assert not any(getattr(first, name).flags.writeable for name in first._fields[:-1])
+    # whatever it depends on makes it another
+    scenes = (
+        Scene.build(dex5, "cube", friction=0.8),
+        Scene.build(dex5, "cube", object_mass=0.11),
+        Scene.build(dex5, "cube", grip=1.9),
+        Scene.build(dex5, "cube", "down"),
+    )
+    assert all(scene.settled is not first for scene in scenes) and len(counted) == 5
+    assert len(settling._kept) == 2
+    # forgotten, and found again to the bit
+    again = Scene.build(dex5, "cube").settled
+    assert again is not first and len(counted) == 6
+    for a, b in zip(again, first, strict=True):
+        assert np.array_equal(a, b)
