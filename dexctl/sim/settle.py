@@ -15,6 +15,7 @@ The same scene settles to the same bits, so what was found last is kept for the 
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterator
 from hashlib import sha256
 from typing import TYPE_CHECKING, NamedTuple
@@ -78,11 +79,11 @@ def settle(scene: Scene, *, thorough: bool = True) -> SettledGrasp:
     found = _kept.pop(key, None) or _settled(scene, thorough)
     _kept[key] = found  # the last again
     if len(_kept) > _KEPT:
-        _kept.pop(next(iter(_kept)), None)
+        _kept.popitem(last=False)
     return found
 
 
-_kept: dict[tuple[object, ...], SettledGrasp] = {}
+_kept: OrderedDict[tuple[object, ...], SettledGrasp] = OrderedDict()
 
 
 def _fingerprint(scene: Scene) -> tuple[object, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -267,7 +268,7 @@ def test_a_size_to_search_a_grasp_for(size: float) -> None:
 def test_what_has_settled_once_is_not_settled_again(
     dex5: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(settling, "_kept", {})
+    monkeypatch.setattr(settling, "_kept", OrderedDict())
     monkeypatch.setattr(settling, "_KEPT", 2)
     counted: list[Scene] = []
 
