@@ -189,15 +189,16 @@ def chosen(
     able = [one for one in grasps if len(one.fingers) >= LEAST_FINGERS] if how.grasps else []
     if able:
         say(f"turning {len(able)} grasps with the coordinated gait")
+        screening = how.screening * len(able)
+        most = 2 * how.seconds * min(how.finalists, len(able))
         with progress(notes()) as bar:
-            task = bar.add_task("turning", total=None)
+            task = bar.add_task("turning", total=screening + most)
             first = [trial(one, ("up",), how.screening_trials, how.screening).value for one in able]
             order = np.argsort(first, kind="stable")[::-1]
             turning = [able[i] for i in order if first[i]]  # neither let go, nor not turned at all
             held = list(islice(filter(keeps, turning), how.finalists))
             finals = held or turning[: how.finalists]
-            done = how.screening * len(able)
-            bar.update(task, total=done + 2 * how.seconds * len(finals))
+            bar.update(task, total=screening + 2 * how.seconds * len(finals))
             for grasp in finals:
                 found = trial(grasp, ("up", "down"), how.trials, how.seconds)
                 say(f"{grasp.note}; {found.note}")
