@@ -1,8 +1,8 @@
 """Policies for other hands, and the controllers that guided them, as trained and with all drawn.
 
 What is drawn is what MuJoCo Playground draws for its LEAP cube spin, whose figures are the goal;
-the object is another. Needs the hands' files, see `hands_turning.py`; `--resume` goes on with the
-rows that there are.
+hands, and the object of some, are others. Needs the hands' files, see `hands_turning.py`;
+`--resume` goes on with the rows that there are.
 """
 
 from __future__ import annotations
@@ -127,12 +127,13 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         if row["who"] != row["policy"]:
             continue
         turned, held, asked = row["speed_rad_s"], row["holding"], CONDITIONS[row["condition"]].asked
+        theirs = "" if row["object"] == "cube" else " (theirs is a cube)"
         found.append(
             Figure(
                 f"{row['policy']}, {row['object']}, {CONDITIONS[row['condition']].text}, "
                 f"{row['time_s']:g} s: mean speed in the median episode, held",
                 f"{turned['median']:.2f} rad/s, {held['count']} of {held['of']}",
-                f"{SPEED} rad/s, {100 * HOLD:.1f} % hold (theirs is a cube)" if asked else "",
+                f"{SPEED} rad/s, {100 * HOLD:.1f} % hold{theirs}" if asked else "",
                 turned["median"] >= SPEED and held["share"] >= HOLD if asked else None,
             )
         )
