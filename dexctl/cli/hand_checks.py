@@ -73,7 +73,7 @@ def check_hand(
     yield _touch(scene)
     yield _reach(scene, seed)
     for palm in ("up", "down"):
-        yield _holds(hand, name, palm, seconds, trials, seed)
+        yield check_holding(hand, name, palm, seconds=seconds, trials=trials, seed=seed)
 
 
 def _limits(hand: HandModel) -> HandCheck:
@@ -157,7 +157,7 @@ def _reach(scene: Scene, seed: int) -> HandCheck:
     return HandCheck("reach", True, f"every finger comes to the {scene.object}")
 
 
-def held_trials(
+def check_holding(
     hand: HandModel,
     name: str,
     palm: str,
@@ -165,28 +165,18 @@ def held_trials(
     seconds: float = SECONDS,
     trials: int = TRIALS,
     seed: int = 0,
-) -> int:
-    """How many of some disturbed grasps of an object the set-points alone hold.
-
-    Raises:
-        SimulationError: it does not settle.
-    """
+) -> HandCheck:
+    """Whether the set-points alone hold an object in disturbed grasps; see `check_hand`."""
     from dexctl.controllers import Hold
     from dexctl.sim import BatchSimulator, Scene, run
 
-    scene = Scene.build(hand, name, palm)
-    with BatchSimulator(scene, num_envs=trials, disturbance=0.02, seed=seed) as sim:
-        trace = run(Hold(hand, control_period=sim.control_period), sim, seconds)
-    return int((~trace.dropped).sum())
-
-
-def _holds(
-    hand: HandModel, name: str, palm: str, seconds: float, trials: int, seed: int
-) -> HandCheck:
     what = f"holds, palm {palm}"
     try:
-        held = held_trials(hand, name, palm, seconds=seconds, trials=trials, seed=seed)
+        scene = Scene.build(hand, name, palm)
+        with BatchSimulator(scene, num_envs=trials, disturbance=0.02, seed=seed) as sim:
+            trace = run(Hold(hand, control_period=sim.control_period), sim, seconds)
     except DexctlError as error:
         return HandCheck(what, False, str(error))
+    held = int((~trace.dropped).sum())
     said = f"{held} of {trials} disturbed grasps of the {name} for {seconds:g} s"
     return HandCheck(what, held >= HELD_SHARE * trials, said)

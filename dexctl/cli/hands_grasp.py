@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from dexctl.cli.hand_checks import HELD_SHARE, TRIALS, held_trials
+from dexctl.cli.hand_checks import check_holding
 from dexctl.cli.output import notes, progress
 from dexctl.exceptions import SimulationError
 from dexctl.hand_config import HandConfig
@@ -154,11 +154,7 @@ def turned(
 def holds(config: HandConfig, name: str, seed: int) -> bool:
     """Whether plain holding holds an object, palm up and down, as ``dexctl hands check`` wants."""
     hand = config.build()
-    try:
-        held = (held_trials(hand, name, palm, seed=seed) for palm in ("up", "down"))
-        return all(one >= HELD_SHARE * TRIALS for one in held)
-    except SimulationError:  # with the digits of a toml, it does not settle
-        return False
+    return all(bool(check_holding(hand, name, palm, seed=seed).good) for palm in ("up", "down"))
 
 
 def chosen(
@@ -195,7 +191,7 @@ def chosen(
             task = bar.add_task("turning", total=screening + most)
             first = [trial(one, ("up",), how.screening_trials, how.screening).value for one in able]
             order = np.argsort(first, kind="stable")[::-1]
-            turning = [able[i] for i in order if first[i]]  # neither let go, nor not turned at all
+            turning = [able[i] for i in order if first[i]]  # a little at least, and not let go
             held = list(islice(filter(keeps, turning), how.finalists))
             finals = held or turning[: how.finalists]
             bar.update(task, total=screening + 2 * how.seconds * len(finals))
