@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations, product
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from dexctl.state import Floats, GraspState
 _TOLERANCE = 1e-6  # of fingertips [m], and of joint limits [rad]
 _MOST_FINGERS = 6  # the ways to place them are tried one by one
 _SAMPLES = 6
+_FAR = 1e6  # stands for no limit [rad]
+_known: WeakKeyDictionary[HandModel, tuple[HandSymmetry, ...]] = WeakKeyDictionary()
 
 
 _MIRROR = np.diag([1.0, -1.0, 1.0])  # of an object's body, where the hand is mirrored
@@ -121,14 +124,23 @@ def symmetries(hand: HandModel) -> tuple[HandSymmetry, ...]:
     their sign; it is one where an orthogonal matrix (by least squares; Kabsch 1976) takes the
     fingertips of random configurations to those of the configurations that belong to them, and the
     joints' limits go along. Hands whose fingers share joints, have different numbers of them, or
-    are more than six have the identity only.
+    are more than six have the identity only. What was found for a hand is kept as long as the hand.
     """
+    found = _known.get(hand)
+    if found is None:
+        found = _known[hand] = _found(hand)
+    return found
+
+
+def _found(hand: HandModel) -> tuple[HandSymmetry, ...]:
+    """Those of a hand that was not asked for before."""
     joints = hand.finger_joints
     m, n = joints.shape
     own = hand.moves.sum(axis=1)
     identity = HandSymmetry(np.eye(3), np.arange(m), np.arange(hand.nq), np.ones(hand.nq))
     if hand.shares_joints or (own != n).any() or m > _MOST_FINGERS:
         return (identity,)
+    limits = np.clip([hand.lower, hand.upper], -_FAR, _FAR)
     q = random_configurations(hand, _SAMPLES, 0)
     tips = hand.fingertip_positions(q)
     found = []
@@ -139,7 +151,7 @@ def symmetries(hand: HandModel) -> tuple[HandSymmetry, ...]:
             places[joints] = joints[fingers]
             signs[joints] = chosen
             one = HandSymmetry(identity.matrix, fingers, places, signs)
-            if not _limits_fit(hand, one):
+            if not _limits_fit(limits, one):
                 continue
             there = hand.fingertip_positions(one.of_joints(q))[:, fingers]
             for matrix in _nearest(tips.reshape(-1, 3), there.reshape(-1, 3)):
@@ -164,9 +176,10 @@ def turned_to(hand: HandModel, axis: Floats, wanted: Floats) -> HandSymmetry | N
     return None
 
 
-def _limits_fit(hand: HandModel, one: HandSymmetry) -> bool:
-    ends = np.sort(np.stack([one.of_joints(hand.lower), one.of_joints(hand.upper)]), axis=0)
-    return bool(np.allclose(ends, [hand.lower, hand.upper], rtol=0, atol=_TOLERANCE))
+def _limits_fit(limits: Floats, one: HandSymmetry) -> bool:
+    """Whether joints' limits ``(2, d)``, lower and upper, go along."""
+    there = np.sort([one.of_joints(end) for end in limits], axis=0)
+    return bool(np.abs(there - limits).max() < _TOLERANCE)
 
 
 def _nearest(points: Floats, there: Floats) -> tuple[Floats, Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,17 @@ def test_dex5_is_its_own_mirror_image(dex5: HandModel) -> None:
         point = np.array([0.03, 0.01, -0.02])
         image = rotate(other.of_orientations(turn), point * [1.0, -1.0, 1.0])
         np.testing.assert_allclose(image, other.of_vectors(rotate(turn, point)), atol=1e-12)
+
+
+def test_joints_without_limits_have_them_too(dex5: HandModel) -> None:
+    hand = pickle.loads(pickle.dumps(dex5))
+    hand.lower, hand.upper = np.full(15, -np.inf), np.full(15, np.inf)
+    for one, other in zip(symmetries(hand), symmetries(dex5), strict=True):
+        np.testing.assert_allclose(one.matrix, other.matrix, atol=1e-9)
+
+
+def test_they_are_found_once_for_a_hand(dex5: HandModel) -> None:
+    assert symmetries(dex5) is symmetries(dex5)
 
 
 def test_what_undoes_it(dex5: HandModel) -> None:
