@@ -25,12 +25,10 @@ def command_line(command: Any, name: str, leave_out: tuple[str, ...] = ("--json"
         leave_out: options that change nothing of what is found.
     """
     kind = type(command)
-    before = defaults_of(kind, [])
-    given = _options(command, before)
-    if before is not None:  # first what other defaults depend on
-        deciding = _deciding(kind, before, list(given.items()))
-        words = [word for group in deciding.values() for word in group]
-        given = deciding | _options(command, defaults_of(kind, words))
+    given = _options(command, None)
+    deciding = {flag: given[flag] for flag in getattr(kind, "deciding", ()) if flag in given}
+    words = [word for group in deciding.values() for word in group]
+    given = deciding | _options(command, defaults_of(kind, words))
     spelled = {long: short for short, long in getattr(kind, "short", {}).items()}
     said = ["dexctl", *name.split()]
     # what goes without a flag must not follow an option that takes several words
@@ -38,16 +36,6 @@ def command_line(command: Any, name: str, leave_out: tuple[str, ...] = ("--json"
         if flag not in leave_out:
             said += [respelled(word, spelled) for word in given[flag]]
     return shlex.join(said)
-
-
-def _deciding(kind: Any, before: Any, given: list[tuple[str, list[str]]]) -> dict[str, list[str]]:
-    """The options on which other defaults depend; halved, since asking takes 0.1 s each time."""
-    if not given or defaults_of(kind, [word for _, words in given for word in words]) == before:
-        return {}
-    if len(given) == 1:
-        return dict(given)
-    half = len(given) // 2
-    return _deciding(kind, before, given[:half]) | _deciding(kind, before, given[half:])
 
 
 def _options(config: Any, base: Any, prefix: str = "") -> dict[str, list[str]]:

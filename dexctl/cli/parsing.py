@@ -2,12 +2,13 @@
 
 A command is a dataclass, and the configurations nested in it are its options. Their booleans are
 pairs, ``--overlap`` and ``--no-overlap``; a `Switch` of the command itself is ``--json`` alone. A
-command class may have two things more:
+command class may have three things more:
 
 - ``short: ClassVar[Mapping[str, str]]``: other spellings of options, ``{"--method":
   "--guidance.method"}``;
 - a classmethod ``defaults(arguments)``: the command whose values hold where ``arguments`` say
-  nothing, for those whose defaults depend on another option.
+  nothing, for those whose defaults depend on another option;
+- then ``deciding: ClassVar[tuple[str, ...]]``: the options that they depend on.
 """
 
 from __future__ import annotations

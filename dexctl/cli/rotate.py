@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from dexctl import hands
 from dexctl.cli.checks import check_count, check_seconds, make_folder
@@ -67,6 +67,8 @@ class Rotate:
     as_real: Switch = False
     """Limits of the thesis's hand where no other is given: 0.6 rad/s, 0.5 N m, 0.05 s."""
     scene: Annotated[SceneConfig, NESTED] = field(default_factory=SceneConfig)
+
+    deciding: ClassVar[tuple[str, ...]] = ("--as-real",)
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> Rotate:

@@ -28,7 +28,7 @@ BY_PATH = "settings by their paths"
 """Marks a nested configuration whose settings go by their paths only, so that their own names stay
 those of others: the ``substeps`` of a way to plan and of the physics. See `leaves`."""
 
-NESTED = tyro.conf.arg(name="")
+NESTED = tyro.conf.arg(name="", help="")
 """Marks a nested configuration whose settings go without its name on the command line."""
 
 
@@ -54,4 +54,4 @@ def only(default: Any, *names: str, texts: Mapping[str, str] | None = None) -> A
             hint = Annotated[hint, tyro.conf.arg(help=texts[one.name])]
         shown.append((one.name, hint, field(default=value)))
     narrow = make_dataclass(kind.__name__, shown, bases=(kind,), frozen=True, kw_only=True)
-    return tyro.conf.arg(name="", constructor=narrow)
+    return tyro.conf.arg(name="", help="", constructor=narrow)

@@ -60,6 +60,8 @@ class Evaluate:
     json: Switch = False
     """Print one JSON object instead of the table."""
 
+    deciding: ClassVar[tuple[str, ...]] = ("--policy", "--transfer", "--conditions", "--hand")
+
     @classmethod
     def defaults(cls, argv: Sequence[str]) -> Self:
         """The settings that the policies were trained in."""

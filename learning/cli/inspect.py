@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import tyro
 
@@ -52,6 +52,8 @@ class Inspect:
     """Folder for report.html and inspect.json."""
     json: Switch = False
     """Print one JSON object instead of the summary."""
+
+    deciding: ClassVar[tuple[str, ...]] = ("--subject", "--hand")
 
     @classmethod
     def defaults(cls, argv: Sequence[str]) -> Self:

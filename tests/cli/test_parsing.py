@@ -53,6 +53,8 @@ class Learn:
     json: Switch = False
     """Print one JSON object."""
 
+    deciding: ClassVar[tuple[str, ...]] = ("--recipe",)
+
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> Learn:
         if "thesis" not in arguments:
