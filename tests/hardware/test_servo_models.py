@@ -144,7 +144,10 @@ def chain(names: tuple[str, ...], count: int = 15, **settings: object) -> Iterat
 MIXED = ("XC330-T288",) * 6 + ("XL430-W250",) * 4 + ("XM430-W350",) * 2 + ("XL330-M288",) * 3
 
 
-@pytest.mark.parametrize("names", [*((model.name,) for model in MODELS), MIXED])
+@pytest.mark.parametrize(
+    "names",
+    [*(pytest.param((model.name,), marks=pytest.mark.slow) for model in MODELS), MIXED],
+)
 def test_a_run_on_each_model_and_on_a_mixed_chain(
     names: tuple[str, ...], dex5: dexctl.HandModel
 ) -> None:

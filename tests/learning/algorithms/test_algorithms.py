@@ -82,7 +82,13 @@ def policy(agent: Algorithm, observation: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("name", "turns"), [("sac", 300), ("td3", 300), ("ppo", 800), ("dagger", 100)]
+    ("name", "turns"),
+    [
+        ("sac", 300),
+        pytest.param("td3", 300, marks=pytest.mark.slow),
+        pytest.param("ppo", 800, marks=pytest.mark.slow),
+        ("dagger", 100),
+    ],
 )
 def test_a_small_task_is_learned(name: str, turns: int) -> None:
     agent, task = build(name), Contextual()

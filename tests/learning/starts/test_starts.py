@@ -200,7 +200,15 @@ def test_gravity_grows(tmp_path: Path, said: list[str]) -> None:
 @pytest.mark.parametrize(
     ("name", "cut", "turns"),
     # explored: in the middle of what is started from, for long enough to begin in it
-    [*((name, 70, 120) for name in NAMES), ("explored", 150, 190)],
+    [
+        ("paths", 70, 120),
+        ("explored", 150, 190),
+        *(
+            pytest.param(name, 70, 120, marks=pytest.mark.slow)
+            for name in NAMES
+            if name != "paths"
+        ),
+    ],
 )
 def test_a_resumed_training_ends_with_the_same_bits(
     name: str, cut: int, turns: int, small: Make, tmp_path: Path

@@ -149,8 +149,8 @@ def test_killed_and_resumed_with_the_fast_recipe(tmp_path: Path) -> None:
     ("algorithm", "method", "controller"),
     [
         ("sac", "rl", "gait"),
-        ("td3", "rl+bc", "igm"),
-        ("sac", "fge", "coordinated"),
+        pytest.param("td3", "rl+bc", "igm", marks=pytest.mark.slow),
+        pytest.param("sac", "fge", "coordinated", marks=pytest.mark.slow),
         ("td3", "vge", "switch"),
         ("ppo", "rl", "gait"),
         ("dagger", "rl+bc", "coordinated"),
