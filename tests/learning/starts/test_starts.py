@@ -203,11 +203,7 @@ def test_gravity_grows(tmp_path: Path, said: list[str]) -> None:
     [
         ("paths", 70, 120),
         ("explored", 150, 190),
-        *(
-            pytest.param(name, 70, 120, marks=pytest.mark.slow)
-            for name in NAMES
-            if name != "paths"
-        ),
+        *(pytest.param(name, 70, 120, marks=pytest.mark.slow) for name in NAMES if name != "paths"),
     ],
 )
 def test_a_resumed_training_ends_with_the_same_bits(
