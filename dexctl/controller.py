@@ -37,11 +37,13 @@ class Controller(ABC):
         object: name of the object that it was made for, as a tree is of one; None: any.
         gravity: under which it was made, hand frame, ``(3,)`` [m/s^2]; None: any.
         tracks: whether it acts only where the state has the object's pose.
+        goes_to_goals: whether it follows the state's ``goal_quaternion``; None: it does not say.
     """
 
     object: str | None = None
     gravity: tuple[float, ...] | None = None
     tracks: bool = False
+    goes_to_goals: bool | None = None
 
     def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:
         if not isinstance(hand, HandModel):

@@ -108,6 +108,8 @@ class Run(HandOptions):
             check_goal(self.controller, self.goal, pose)
         model, calibration = self.load()
         controller = make_controller(self.controller, model, asked, tracked=pose == "touch")
+        if self.goal is not None and controller.goes_to_goals is False:
+            raise goes_to_none(self.controller, self.goal)
         if controller.object is not None and self.scene.object == (AUTO,):
             held = replace(held, object=(controller.object,))
         if held.object != (NOTHING,):
@@ -243,10 +245,15 @@ def check_goal(name: str, goal: Quaternion, pose: str) -> None:
         raise InvalidInput(f"--goal is {goal} and --object-pose {pose}; expected touch with it")
     follows = controllers.entry(name).follows if controllers.is_named(name) else None
     if follows is not None and "goal_quaternion" not in follows:
-        raise InvalidInput(
-            f"--goal is {goal}; {name} goes to none, expected goal, steered:NAME or "
-            "sequence:ABOUT,ACROSS"
-        )
+        raise goes_to_none(name, goal)
+
+
+def goes_to_none(name: str, goal: Quaternion) -> InvalidInput:
+    """Where who was named does nothing about goals."""
+    return InvalidInput(
+        f"--goal is {goal}; {name} goes to none, expected goal, steered:NAME, "
+        "sequence:ABOUT,ACROSS or a policy for goals, such as dex5-cube-goals"
+    )
 
 
 def tracked_by_touch(

@@ -276,6 +276,11 @@ class Policy(Controller):
             )
 
     @property
+    def goes_to_goals(self) -> bool:
+        """Whether it observes the state's ``goal_quaternion``."""
+        return bool(set(ORIENTATIONS) & set(self.observation.parts))
+
+    @property
     def commanded(self) -> Commanded | None:
         """What it was trained to be told; None where it is not told, or nobody knows."""
         return Commanded.of_card(self.card) if TURNING in self.observation.parts else None

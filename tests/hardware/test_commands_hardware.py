@@ -101,7 +101,17 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (
             ["run", "igm", "--emulate", *["--goal", "1", "0", "0", "0", "--object-pose", "touch"]],
-            "igm goes to none, expected goal, steered:NAME or sequence:ABOUT,ACROSS",
+            "igm goes to none, expected goal, steered:NAME, sequence:ABOUT,ACROSS or a policy",
+        ),
+        (
+            [
+                "run",
+                "dex5-easy",
+                "--emulate",
+                *["--goal", "1", "0", "0", "0"],
+                *["--object-pose", "touch"],
+            ],
+            "dex5-easy goes to none, expected goal, steered:NAME",
         ),
         (
             ["run", "goal", "--emulate", *["--goal", "2", "0", "0", "0", "--object-pose", "touch"]],
