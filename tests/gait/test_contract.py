@@ -109,7 +109,7 @@ def test_the_same_seed_gives_the_same_bits(make, loop, cylinder, together):
         np.testing.assert_array_equal(mine, first)
 
 
-@pytest.mark.parametrize("kind", ["deepcopy", "pickle"])
+@pytest.mark.parametrize("kind", [pytest.param("deepcopy", marks=pytest.mark.slow), "pickle"])
 def test_a_checkpoint_continues_to_the_bit(make, loop, cylinder, kind):
     """Simulator saved and restored, controller copied in the middle of what it does."""
     controller = make(cylinder.hand)

@@ -76,6 +76,7 @@ def test_hidden_values_are_found(chirp: Samples) -> None:
     assert np.abs(found.computed - found.q)[seen].max() < 0.01
 
 
+@pytest.mark.slow
 def test_gains_that_are_not_what_was_told_are_found(dex5: HandModel) -> None:
     hidden = {"stiffness_range": (0.8, 0.8), "gear_friction_range": (FRICTION, FRICTION)}
     samples = chirped(dex5, changed(EMPTY, hidden))
@@ -160,6 +161,7 @@ def test_the_command_writes_ranges_to_train_with(
     assert (there / "identification.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_fingers_that_something_stops_tell_stiffness_and_latency_only(
     dex5: HandModel, chirp: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

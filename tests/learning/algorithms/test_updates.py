@@ -169,7 +169,9 @@ def test_targets_by_hand(kind: Any, config: Any) -> None:
 
 @pytest.mark.parametrize(("kind", "config"), KINDS)
 @pytest.mark.parametrize("cloning", ["likelihood", "squared"])
-@pytest.mark.parametrize("weight", ["value", "equal", "better"])
+@pytest.mark.parametrize(
+    "weight", ["value", *(pytest.param(one, marks=pytest.mark.slow) for one in ("equal", "better"))]
+)
 def test_cloning_brings_the_policy_to_the_controller(
     kind: Any, config: Any, cloning: str, weight: str
 ) -> None:

@@ -160,6 +160,7 @@ def test_a_policy_file(
     assert found["card"]["steps"] == 240
 
 
+@pytest.mark.slow
 def test_a_controller_in_the_policys_place(tmp_path: Path) -> None:
     """The coordinated gait against itself: no angle; against one that holds still: undefined."""
     out = tmp_path / "out"
