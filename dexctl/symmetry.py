@@ -47,6 +47,10 @@ class HandSymmetry:
     joints: NDArray[np.intp]
     signs: Floats
 
+    def __post_init__(self) -> None:
+        for values in (self.matrix, self.fingers, self.joints, self.signs):
+            values.flags.writeable = False  # kept for whoever asks next
+
     @cached_property
     def mirrors(self) -> bool:
         """Whether it is a mirror image."""
@@ -128,12 +132,12 @@ def symmetries(hand: HandModel) -> tuple[HandSymmetry, ...]:
     """
     found = _known.get(hand)
     if found is None:
-        found = _known[hand] = _found(hand)
+        found = _known[hand] = _search(hand)
     return found
 
 
-def _found(hand: HandModel) -> tuple[HandSymmetry, ...]:
-    """Those of a hand that was not asked for before."""
+def _search(hand: HandModel) -> tuple[HandSymmetry, ...]:
+    """The symmetries of a hand; see `symmetries`, which keeps them."""
     joints = hand.finger_joints
     m, n = joints.shape
     own = hand.moves.sum(axis=1)

@@ -20,7 +20,8 @@ def command_line(command: Any, name: str, leave_out: tuple[str, ...] = ("--json"
     """What to type to get ``command`` again: the options that differ from their defaults.
 
     Args:
-        command: of a class that `dexctl.cli.parsing.parse` takes.
+        command: of a class that `dexctl.cli.parsing.parse` takes; one with ``defaults`` says on
+            which options they depend (``deciding``).
         name: of the command, as typed after ``dexctl``.
         leave_out: options that change nothing of what is found.
     """

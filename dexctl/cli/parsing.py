@@ -8,7 +8,8 @@ command class may have three things more:
   "--guidance.method"}``;
 - a classmethod ``defaults(arguments)``: the command whose values hold where ``arguments`` say
   nothing, for those whose defaults depend on another option;
-- then ``deciding: ClassVar[tuple[str, ...]]``: the options that they depend on.
+- with it, ``deciding: ClassVar[tuple[str, ...]]``: the options that they depend on, where
+  `dexctl.cli.command_line.command_line` is asked of it.
 """
 
 from __future__ import annotations

@@ -48,8 +48,6 @@ class Train:
     json: Switch = False
     """Print the last figures as JSON."""
 
-    deciding: ClassVar[tuple[str, ...]] = ("--recipe", "--guidance.method", "--resume")
-
     @classmethod
     def defaults(cls, argv: Sequence[str]) -> Self:
         """The recipe's settings, or those of the run that is resumed."""

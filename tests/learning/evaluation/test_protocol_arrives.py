@@ -15,6 +15,7 @@ import dexctl.sim
 from dexctl import hands
 from dexctl.cli.command_line import command_line
 from dexctl.cli.parsing import parse
+from dexctl.cli.rotate import Rotate
 from dexctl.settings import changed, get, paths
 from learning.cli.evaluate import Evaluate
 from learning.cli.inspect import Inspect
@@ -110,3 +111,17 @@ def test_every_setting_of_a_command(
     assert used["axis"] == asked.task.axis
     assert used["drop_distance"] == asked.task.drop_distance
     assert used["controller"].control_period == asked.scene.control_period
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (Evaluate, "dex5-any --conditions limits --seconds 5.0"),
+        (Evaluate, "--transfer dex5-cylinder --object sphere"),
+        (Inspect, "dex5-easy --object cylinder --episodes 2"),
+        (Rotate, "--as-real --controller igm --seconds 3.0"),
+    ],
+)
+def test_a_command_says_what_was_typed_and_nothing_that_follows_from_it(kind: Any, said: str):
+    command = parse(kind, "dexctl", shlex.split(said))
+    assert command_line(command, "it") == f"dexctl it {said}"
