@@ -37,7 +37,8 @@ class Controller(ABC):
         object: name of the object that it was made for, as a tree is of one; None: any.
         gravity: under which it was made, hand frame, ``(3,)`` [m/s^2]; None: any.
         tracks: whether it acts only where the state has the object's pose.
-        goes_to_goals: whether it follows the state's ``goal_quaternion``; None: it does not say.
+        goes_to_goals: True: it acts only where the state has a ``goal_quaternion``; False: it does
+            nothing about goals; None: it does not say.
     """
 
     object: str | None = None

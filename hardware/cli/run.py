@@ -110,6 +110,11 @@ class Run(HandOptions):
         controller = make_controller(self.controller, model, asked, tracked=pose == "touch")
         if self.goal is not None and controller.goes_to_goals is False:
             raise goes_to_none(self.controller, self.goal)
+        if self.goal is None and controller.goes_to_goals:
+            raise InvalidInput(
+                f"{self.controller} acts only where it has a goal; expected --goal W X Y Z and "
+                "--object-pose touch"
+            )
         if controller.object is not None and self.scene.object == (AUTO,):
             held = replace(held, object=(controller.object,))
         if held.object != (NOTHING,):

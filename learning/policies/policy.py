@@ -277,7 +277,7 @@ class Policy(Controller):
 
     @property
     def goes_to_goals(self) -> bool:
-        """Whether it observes the state's ``goal_quaternion``."""
+        """Whether it observes the state's ``goal_quaternion``: it acts only where there is one."""
         return bool(set(ORIENTATIONS) & set(self.observation.parts))
 
     @property

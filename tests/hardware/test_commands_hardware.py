@@ -114,6 +114,10 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
             "dex5-easy goes to none, expected goal, steered:NAME",
         ),
         (
+            ["run", "dex5-cube-goals", "--emulate", *["--object-pose", "touch"]],
+            "dex5-cube-goals acts only where it has a goal; expected --goal W X Y Z",
+        ),
+        (
             ["run", "goal", "--emulate", *["--goal", "2", "0", "0", "0", "--object-pose", "touch"]],
             "goal is (2, 0, 0, 0); expected a unit quaternion",
         ),
