@@ -24,6 +24,9 @@ def to_plain(config: Any) -> dict[str, Any]:
 def from_plain(kind: type[C], values: Mapping[str, Any], where: str = "") -> C:
     """The configuration that ``values`` describe; what they leave out has its default.
 
+    A class says in ``MOVED`` which of its settings had another path, ``"table.name"``, in an
+    earlier version; under that path they are read still.
+
     Args:
         kind: the class.
         values: by name, nested or by the leaves' own names; lists are tuples, whole numbers will
@@ -148,7 +151,18 @@ def _sorted_in(kind: type, values: Mapping[str, Any], where: str) -> dict[str, A
             table = found.setdefault(first, {})
             if isinstance(table, Mapping):
                 found[first] = {**table, rest: value}
+    for before, now in getattr(kind, "MOVED", {}).items():
+        _move(found, before.split("."), now.split("."))
     return found
+
+
+def _move(found: dict[str, Any], before: list[str], now: list[str]) -> None:
+    """What an earlier version wrote into one table of ``found`` goes into the one it is in now."""
+    (table, name), (other, own) = before, now
+    held, there = found.get(table), found.get(other, {})
+    if isinstance(held, Mapping) and name in held and isinstance(there, Mapping):
+        found[table] = {key: value for key, value in held.items() if key != name}
+        found[other] = {own: held[name], **there}
 
 
 def _value(kind: Any, value: Any, where: str) -> Any:

@@ -72,7 +72,7 @@ def _survival(axes: Axes, one: Evaluation) -> None:
         after = one.held(np.nextafter(moments, np.inf), near=near)
         shares = np.array([wilson(int(n), len(one.rotation))[:3] for n in after]) * 100.0
         value, low, high = shares.T
-        colour, distance = finger_colour(number), one.protocol.task.drop_distance
+        colour, distance = finger_colour(number), one.protocol.task.holding.drop_distance
         label = f"within {1e3 * distance / (2 if near else 1):g} mm"
         axes.fill_between(moments, low, high, step="post", color=colour, alpha=0.2, lw=0)
         axes.step(moments, value, where="post", color=colour, ls=style, lw=2.0, label=label)

@@ -135,7 +135,7 @@ def _figures(one: Evaluation) -> Table:
             ("held", "time_held_median_s", "s", 1, 1.0),
             ("dropped", "share_dropped", "%", 0, 100.0),
             (
-                f"further than {500 * one.protocol.task.drop_distance:g} mm",
+                f"further than {500 * one.protocol.task.holding.drop_distance:g} mm",
                 "share_strayed",
                 "%",
                 0,

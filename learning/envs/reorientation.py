@@ -12,6 +12,7 @@ from dexctl.rotations import angle_between, inverse, multiply, shortest, twist_a
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import check_numbers, check_whole
 from learning.envs.goals import Goals, draw
+from learning.envs.holding import HoldingConfig, distance_from_start
 from learning.envs.task import Judgement, Step, Task
 from learning.envs.turning import uprights
 
@@ -131,7 +132,7 @@ class Reorientation(Task):
         goals: which orientations are asked for.
         simulation: the environments'.
         axis: that goals of "yaw" are turned about, unit ``(3,)``.
-        drop_distance: the object is lost when it is this far from its start [m].
+        holding: when an object is lost, and what holding it badly costs.
 
     Attributes:
         goal: the orientation wanted, ``(N, 4)`` wxyz.
@@ -146,13 +147,13 @@ class Reorientation(Task):
         simulation: Simulation,
         *,
         axis: Floats,
-        drop_distance: float,
+        holding: HoldingConfig,
     ) -> None:
         if goals == "root":
             config = replace(config, goal_count=1)
         self.config = config
         self.goals: Goals = goals
-        self._simulation, self._axis, self._drop_distance = simulation, axis, drop_distance
+        self._simulation, self._axis, self._holding = simulation, axis, holding
         count = simulation.num_envs
         self._upright = uprights(simulation)
         self.goal = self._upright.copy()
@@ -211,8 +212,8 @@ class Reorientation(Task):
             object_speed=np.linalg.norm(position - self._position, axis=-1) / period,
             turning_speed=np.linalg.norm(step.angular_velocity, axis=-1),
         )
-        away = np.linalg.norm(position - step.start_position, axis=-1)
-        dropped = (away > self._drop_distance) & ~step.diverged
+        away = distance_from_start(step)
+        dropped = self._holding.lost(away, step)
         lost = dropped | step.diverged
         success = criteria(moved, config).all(axis=-1) & ~lost
         self.reached = self.reached + success
@@ -228,6 +229,9 @@ class Reorientation(Task):
             "goals": self.reached.copy(),
             "rotation": self.rotation.copy(),
         }
+        worth = self._holding.charged(
+            reward(moved, success, config), away=away, lost=dropped, links=~step.fingertips_only
+        )
         succeeded = self.reached >= config.goal_count
         self._q, self._position = step.state.q.copy(), position.copy()
         self._distance = distance
@@ -235,7 +239,7 @@ class Reorientation(Task):
         if new.any():
             self._ask(new, quaternion)
         return Judgement(
-            reward=np.where(step.diverged, 0.0, reward(moved, success, config)),
+            reward=np.where(step.diverged, 0.0, worth),
             dropped=dropped,
             succeeded=succeeded,
             info=info,

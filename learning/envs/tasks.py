@@ -1,17 +1,18 @@
-"""TaskConfig: what hands are to do with their objects, and when one is lost."""
+"""TaskConfig: what hands are to do with their objects, and how they are to hold them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
 from dexctl.settings import NESTED, Vector
-from dexctl.validation import check_name, check_numbers
+from dexctl.validation import check_name
 from learning.envs.goals import GOALS
+from learning.envs.holding import HoldingConfig
 from learning.envs.observation import ORIENTATIONS, TURNING
 from learning.envs.reorientation import Reorientation, ReorientationConfig
 from learning.envs.turning import Turning, TurningConfig
@@ -31,18 +32,21 @@ class TaskConfig:
         UnknownName, InvalidInput: a setting is wrong; the message names it.
     """
 
+    MOVED: ClassVar[Mapping[str, str]] = {
+        f"turning.{name}": f"holding.{name}"
+        for name in ("end_on_links", "drop_cost", "drift_cost", "links_cost")
+    }
+    """They counted for turning alone once."""
     goals: Literal["none", "root", "yaw", "cube", "uniform"] = "none"
     """Orientations that the object is to be brought to, each drawn when the one before is reached:
     root, that of the settled grasp; yaw, that turned about the axis; cube, the 24 in which a cube
     looks as it does there; uniform, any. none: it is turned about the axis, without end."""
-    drop_distance: float = 0.05
-    """The object is lost when its centre is this far from where it started [m]."""
+    holding: Annotated[HoldingConfig, NESTED] = HoldingConfig()
     turning: Annotated[TurningConfig, NESTED] = TurningConfig()
     reorientation: Annotated[ReorientationConfig, NESTED] = ReorientationConfig()
 
     def __post_init__(self) -> None:
         check_name("goals", self.goals, (NO_GOALS, *GOALS))
-        check_numbers(self, positive=("drop_distance",))
 
     @property
     def axis(self) -> Vector:
@@ -76,11 +80,11 @@ class TaskConfig:
     def build(self, simulation: Simulation) -> Task:
         """The task in these environments."""
         if self.goals == NO_GOALS:
-            return Turning(self.turning, simulation, self.drop_distance)
+            return Turning(self.turning, simulation, self.holding)
         return Reorientation(
             self.reorientation,
             self.goals,
             simulation,
             axis=np.array(self.direction),
-            drop_distance=self.drop_distance,
+            holding=self.holding,
         )

@@ -12,6 +12,7 @@ from dexctl.rotations import inverse, multiply, rotate, shortest, twist_angle
 from dexctl.settings import Names, Range, Vector
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import AXES, check_name, check_numbers, check_whole, unit_axis
+from learning.envs.holding import HoldingConfig, distance_from_start
 from learning.envs.observation import ANY
 from learning.envs.task import Judgement, Step, Task
 
@@ -40,14 +41,6 @@ class TurningConfig:
     wanted_speed: float | None = None
     """A speed to keep: beyond it the reward falls as it rose before [rad/s]. None: the faster the
     better, up to max_reward."""
-    drop_cost: float = 0.0
-    """Taken off the reward of the step in which the object is lost [rad/s]."""
-    drift_cost: float = 0.0
-    """Taken off for how far the object's centre is from where it started [rad/s per m]."""
-    links_cost: float = 0.0
-    """Taken off in every step in which the object touches anything but fingertips [rad/s]."""
-    end_on_links: bool = False
-    """Whether the object counts as lost in training where it touches anything but fingertips."""
     commands: Names = ()
     """Axes of which one after the other is drawn, in place of the one axis: x, y, z, -x, -y, -z, or
     any, which is any direction; the policy sees them in goal_angular_velocity."""
@@ -64,7 +57,6 @@ class TurningConfig:
         check_numbers(
             self,
             positive=("max_reward", "max_tilt", "command_seconds"),
-            not_negative=("drop_cost", "drift_cost", "links_cost"),
             optional=("wanted_speed",),
         )
         check_whole(self, min_fingertips=0)
@@ -110,8 +102,8 @@ def reward(motion: Motion, config: TurningConfig, most: Floats | None = None) ->
     r = min(r_max, w . k) where at least ``min_fingertips`` and nothing but fingertips touch and
     the tilt is at most phi_max; min(0, w . k) elsewhere. The equation leaves "nothing but
     fingertips" to its text. With a speed v to keep (chapter 5, which gives no equation), w . k
-    counts as min(w . k, 2 v - w . k). All costs are taken off. ``most`` ``(...)`` stands for r_max
-    where it is given, and for v with ``keep_speed``.
+    counts as min(w . k, 2 v - w . k). ``most`` ``(...)`` stands for r_max where it is given, and
+    for v with ``keep_speed``. What `HoldingConfig` costs is not in it.
     """
     speed = motion.speed
     most = np.full_like(speed, config.max_reward) if most is None else most
@@ -123,15 +115,7 @@ def reward(motion: Motion, config: TurningConfig, most: Floats | None = None) ->
         & (motion.fingertips_only | (not config.only_fingertips))
         & (motion.tilt <= config.max_tilt)
     )
-    found: Floats = np.where(good, np.minimum(speed, most), np.minimum(speed, 0.0))
-    for cost, amount in (
-        (config.drop_cost, motion.dropped),
-        (config.drift_cost, motion.away),
-        (config.links_cost, ~motion.fingertips_only),
-    ):
-        if cost:
-            found = found - cost * amount
-    return found
+    return np.where(good, np.minimum(speed, most), np.minimum(speed, 0.0))
 
 
 class Turning(Task):
@@ -140,7 +124,7 @@ class Turning(Task):
     Args:
         config: what it is worth.
         simulation: the environments'.
-        drop_distance: the object is lost when it is this far from its start [m].
+        holding: when an object is lost, and what holding it badly costs.
 
     Attributes:
         axis: about which each object is wanted to turn, unit ``(N, 3)``.
@@ -148,9 +132,11 @@ class Turning(Task):
         rotation: unwrapped turn about the axes wanted since the start, ``(N,)`` [rad].
     """
 
-    def __init__(self, config: TurningConfig, simulation: Simulation, drop_distance: float) -> None:
+    def __init__(
+        self, config: TurningConfig, simulation: Simulation, holding: HoldingConfig
+    ) -> None:
         self.config = config
-        self._simulation, self._drop_distance = simulation, drop_distance
+        self._simulation, self._holding = simulation, holding
         count = simulation.num_envs
         self.axis = np.tile(config.direction, (count, 1))
         self.speed = np.full(count, config.max_reward)
@@ -192,14 +178,10 @@ class Turning(Task):
         return replace(state, goal_angular_velocity=self.speed[:, None] * self.axis)
 
     def judge(self, step: Step) -> Judgement:
-        position, quaternion = step.state.object_position, step.state.object_quaternion
-        assert position is not None
+        quaternion = step.state.object_quaternion
         assert quaternion is not None
-        away = np.linalg.norm(position - step.start_position, axis=-1)
-        dropped = away > self._drop_distance
-        if self.config.end_on_links:
-            dropped |= ~step.fingertips_only
-        dropped &= ~step.diverged
+        away = distance_from_start(step)
+        dropped = self._holding.lost(away, step)
         speed = np.einsum("ni,ni->n", step.angular_velocity, self.axis)
         motion = Motion(
             speed=np.where(step.diverged, 0.0, speed),
@@ -212,7 +194,12 @@ class Turning(Task):
         angle = twist_angle(multiply(quaternion, inverse(self._start)), self.axis)
         self.rotation = self.rotation + shortest(angle - self._angle)
         self._angle = angle
-        worth = reward(motion, self.config, self.speed)
+        worth = self._holding.charged(
+            reward(motion, self.config, self.speed),
+            away=away,
+            lost=dropped,
+            links=~step.fingertips_only,
+        )
         info = {**motion._asdict(), "rotation": self.rotation.copy()}
         self._since = self._since + 1
         if self.config.commands:

@@ -96,7 +96,7 @@ def rollout(
             plant=judged,
             axis=protocol.task.axis,
             observers=observers,
-            drop_distance=protocol.task.drop_distance,
+            drop_distance=protocol.task.holding.drop_distance,
             progress=progress,
         )
         scene = simulation.sim.groups[0].scene

@@ -37,7 +37,7 @@ def drops_section(found: Inspection) -> str:
             )
         )
     rule = found.rule
-    distance = evaluation.protocol.task.drop_distance
+    distance = evaluation.protocol.task.holding.drop_distance
     return html.section(
         "Where and why drops begin",
         html.table(

@@ -87,7 +87,7 @@ def test_every_setting_counts_but_threads(dex5: dexctl.HandModel, tmp_path: Path
         "scene.sensing.touch": "binary", "scene.sensing.object_pose": "odometry",
         "scene.sensing.joint_touch.release_force": 0.3,
         "scene.sensing.joint_touch.weigh_links": False,
-        "task.turning.end_on_links": True, "task.turning.keep_speed": True,
+        "task.holding.end_on_links": True, "task.turning.keep_speed": True,
         "task.turning.only_fingertips": False,
         **{path: (0.25, 0.75) for path in paths(Protocol) if path.endswith("_range")},
     }  # fmt: skip

@@ -36,7 +36,7 @@ OTHERS: dict[str, Any] = {
     "scene.threads": 3,
     "task.goals": "cube",
     "task.turning.axis": (0.0, -2.0, 1.0),
-    "task.turning.end_on_links": True,
+    "task.holding.end_on_links": True,
     "task.turning.keep_speed": True,
     "task.turning.only_fingertips": False,
     "task.turning.commands": ("x", "any"),
@@ -109,7 +109,7 @@ def test_every_setting_of_a_command(
         assert get(asked, path) != get(Protocol(), path), path
         assert get(SimpleNamespace(**used), path) == get(asked, path), path
     assert used["axis"] == asked.task.axis
-    assert used["drop_distance"] == asked.task.drop_distance
+    assert used["drop_distance"] == asked.task.holding.drop_distance
     assert used["controller"].control_period == asked.scene.control_period
 
 

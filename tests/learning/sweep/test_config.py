@@ -151,7 +151,7 @@ OTHER = {
     "task.goals": "cube",
     "task.turning.axis": "-y",
     "scene.sensing.joint_touch.weigh_links": False,
-    "task.turning.end_on_links": True,
+    "task.holding.end_on_links": True,
     "task.turning.keep_speed": True,
     "task.turning.only_fingertips": False,
     "task.turning.commands": ("x", "any"),
