@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from dexctl.exceptions import MissingExtra
 from learning.envs.action import SetPointAction
 from learning.envs.config import EnvConfig
+from learning.envs.holding import HoldingConfig
 from learning.envs.observation import DEFAULT_PARTS, PARTS, Observation
 from learning.envs.reorientation import ReorientationConfig
 from learning.envs.task import Judgement, Step, Task
@@ -26,6 +27,7 @@ __all__ = [
     "DEFAULT_PARTS",
     "PARTS",
     "EnvConfig",
+    "HoldingConfig",
     "Judgement",
     "ManipulationEnv",
     "ManipulationVectorEnv",

@@ -79,7 +79,9 @@ class Evaluation:
             rotation = np.take_along_axis(judged.rotation, last, axis=0)
         alone = (held & (trace.other_contact == 0.0)).sum(axis=0)
         away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
-        near = np.logical_and.accumulate(held & (away <= protocol.task.holding.drop_distance / 2), axis=0)
+        near = np.logical_and.accumulate(
+            held & (away <= protocol.task.holding.drop_distance / 2), axis=0
+        )
         return cls(
             object=scene.object,
             protocol=protocol,

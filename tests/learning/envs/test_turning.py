@@ -16,7 +16,6 @@ from dexctl.settings import from_plain
 from dexctl.sim import SceneConfig, Simulation
 from dexctl.state import GraspState
 from learning.envs import EnvConfig
-from learning.envs.holding import HoldingConfig
 from learning.envs.task import Step
 from learning.envs.tasks import TaskConfig
 from learning.envs.turning import (
