@@ -79,7 +79,7 @@ class TrainConfig:
     """Environments stepped together."""
     symmetry: bool = False
     """Whether each transition that is learned from is turned by a symmetry of the hand that is
-    drawn for it (72 degrees on dex5); for sac and td3."""
+    drawn for it (72 degrees on dex5); for sac, td3 and dagger."""
     overlap: bool = True
     """Whether the environments step while the updates run; the policy that acts is then older by
     the updates of one step."""
@@ -112,8 +112,8 @@ class TrainConfig:
         )
         if self.algorithm == "ppo" and self.symmetry:
             raise InvalidInput(
-                "symmetry is True and algorithm is 'ppo', which keeps no transitions; expected sac "
-                "or td3"
+                "symmetry is True and algorithm is 'ppo', which keeps no transitions; expected sac, "
+                "td3 or dagger"
             )
         if self.algorithm == "ppo" and self.guidance.method != "rl":
             raise InvalidInput(

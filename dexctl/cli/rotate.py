@@ -86,6 +86,11 @@ class Rotate:
         folder = None if self.out is None else make_folder(self.out)
         hand = hands.load(self.scene.hand)
         controller = make_controller(self.controller, hand, self.scene, self.axis)
+        if controller.goes_to_goals:
+            raise InvalidInput(
+                f"{self.controller} acts only where it has a goal; expected a controller that "
+                f"turns about an axis (`dexctl evaluate {self.controller}` gives goals)"
+            )
         config = paced(self.scene, controller)
         with simulation(config, self.num_envs, self.seed, hand) as sim:
             from dexctl.report.film import Film

@@ -233,6 +233,7 @@ def test_rotate_about_another_axis_with_limits(run: Run, tmp_path: Path) -> None
         ("rotate --hand claw", "unknown hand 'claw'; known: dex5, "),
         ("rotate --object ball", "unknown object 'ball'; known: cube, sphere, cylinder"),
         ("rotate --controller walk", "unknown controller 'walk'; known: igm, switch, gait"),
+        ("rotate --controller dex5-cube-goals", "acts only where it has a goal; expected"),
         ("rotate --gravity left", "unknown gravity 'left'; known: up, down"),
         ("rotate --gravity 0,0", "'0,0' is neither a name nor three finite numbers"),
         ("rotate --gravity 0,0,nan", "'0,0,nan' is neither a name nor three"),
