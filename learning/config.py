@@ -112,8 +112,8 @@ class TrainConfig:
         )
         if self.algorithm == "ppo" and self.symmetry:
             raise InvalidInput(
-                "symmetry is True and algorithm is 'ppo', which keeps no transitions; expected sac, "
-                "td3 or dagger"
+                "symmetry is True and algorithm is 'ppo', which keeps no transitions; expected "
+                "sac, td3 or dagger"
             )
         if self.algorithm == "ppo" and self.guidance.method != "rl":
             raise InvalidInput(
