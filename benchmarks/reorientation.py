@@ -52,6 +52,7 @@ class Options(Settings):
         "sequence:dex5-cube-z,dex5-cube-x",
         "sequence:dex5-cube-z-any,dex5-cube-x-any",
         "dex5-cube-goals",
+        "dex5-cube-goals-touch",
         "commanded:dex5-cube-z,dex5-cube-x,dex5-cube-y",
         "commanded:dex5-easy-any,dex5-sphere-x",
         "dex5-axes",

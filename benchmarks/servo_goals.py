@@ -42,7 +42,10 @@ class Options(Settings):
     """Goals, one run each: as many of the 23 orientations that are not that of the grasp."""
     seconds: float = 30.0
     """Of each [s]."""
-    who: tuple[str, ...] = ("sequence:dex5-cube-z-any@0.4,dex5-cube-x-any",)
+    who: tuple[str, ...] = (
+        "sequence:dex5-cube-z-any@0.4,dex5-cube-x-any",
+        "dex5-cube-goals-touch",
+    )
     """Who brings the cube there."""
     palms: tuple[str, ...] = PALMS
     """Which way the palm looks."""
