@@ -257,7 +257,7 @@ def goes_to_none(name: str, goal: Quaternion) -> InvalidInput:
     """Where who was named does nothing about goals."""
     return InvalidInput(
         f"--goal is {goal}; {name} goes to none, expected goal, steered:NAME, "
-        "sequence:ABOUT,ACROSS or a policy for goals, such as dex5-cube-goals"
+        "sequence:ABOUT,ACROSS or a policy for goals, such as dex5-cube-goals-touch"
     )
 
 
