@@ -232,6 +232,12 @@ class Trainer:
                 policy = policies.load(str(begun), hand=self.env.hand)
                 policy.spec.check_like(policy_spec(self.algorithm, self.env, self.config))
                 self.algorithm.begin_with([(layer.weight, layer.bias) for layer in policy.layers])
+                if self.config.algorithm in ("sac", "td3"):  # measured: docs/learning.md
+                    self._remark(
+                        f"{begun} is a policy alone, and critics that have seen one policy mislead "
+                        "an actor: it falls before it rises; as a guide (--method vge "
+                        f"--controllers {begun}) it teaches a new one without that"
+                    )
         except (DexctlError, KeyError) as error:
             raise InvalidInput(f"begin_from is {begun}: {error}") from None
 

@@ -367,13 +367,16 @@ def test_a_run_may_begin_with_a_policy_whose_worth_is_learned_first(
     algorithm: str, tmp_path: Path, small: Make
 ) -> None:
     train(small(method="rl", steps=40), tmp_path / "first")
-    begun = policies.load(tmp_path / "first")
+    begun_from = tmp_path / "first" / "policy.npz"
+    begun = policies.load(begun_from)
     config = small(
-        method="rl", algorithm=algorithm, steps=160, begin_from=tmp_path / "first" / "policy.npz",
+        method="rl", algorithm=algorithm, steps=160, begin_from=begun_from,
         **{f"{algorithm}__learning_starts": 20, f"{algorithm}__actor_starts": 80},
     )  # fmt: skip
-    trainer = Trainer(config, RunFolder(tmp_path / "second"))
+    said: list[str] = []
+    trainer = Trainer(config, RunFolder(tmp_path / "second"), remark=said.append)
     trainer.begin()
+    assert [text for text in said if "falls before it rises" in text and str(begun_from) in text]
     assert isinstance(trainer.algorithm, OffPolicy)
     critics = trainer.algorithm.networks["critic"].flat.clone()
     with ThreadPoolExecutor(1) as pool:
