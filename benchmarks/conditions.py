@@ -305,7 +305,7 @@ def draw(path: Path, long: list[dict[str, Any]]) -> None:
     }
     lines = -(-len(kinds) // 2)
     with drawing():
-        figure = new_figure(7.6, 0.8 + 2.9 * lines)
+        figure = new_figure(7.6, 1.2 + 3.1 * lines)
         panels = figure.subplots(lines, 2, sharey=True, squeeze=False)
         shown: dict[str, Any] = {}
         for panel, kind in zip(panels.flat, kinds, strict=False):
@@ -328,7 +328,7 @@ def draw(path: Path, long: list[dict[str, Any]]) -> None:
                     shown.setdefault(f"{row['who']}, within {within}", line)
             counts = sorted({row["holding"]["of"] for row in mine})
             under = " and ".join(CONDITIONS[kind[0]].names[:-1])  # the last: any way up
-            panel.set_title(f"{kind[1]}, {under}: {' or '.join(map(str, counts))} episodes")
+            panel.set_title(f"{kind[1]}, {under}\n{' or '.join(map(str, counts))} episodes")
             panel.set(xlabel="time [min]", ylim=(-3, 103), xlim=(0, mine[0]["time_s"] / 60))
         for panel in panels.flat[len(kinds) :]:
             panel.set_visible(False)
