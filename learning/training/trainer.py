@@ -18,6 +18,7 @@ from dexctl.settings import absolute, difference, from_plain, to_plain
 from dexctl.sim.grasp_states import GraspStates
 from learning import policies
 from learning.algorithms.base import Transitions
+from learning.algorithms.off_policy import OffPolicy
 from learning.config import ALGORITHMS, TrainConfig
 from learning.exploration import POLICY
 from learning.starts.base import Remark
@@ -232,7 +233,7 @@ class Trainer:
                 policy = policies.load(str(begun), hand=self.env.hand)
                 policy.spec.check_like(policy_spec(self.algorithm, self.env, self.config))
                 self.algorithm.begin_with([(layer.weight, layer.bias) for layer in policy.layers])
-                if self.config.algorithm in ("sac", "td3"):  # measured: docs/learning.md
+                if isinstance(self.algorithm, OffPolicy):  # measured: docs/learning.md
                     self._remark(
                         f"{begun} is a policy alone, and critics that have seen one policy mislead "
                         "an actor: it falls before it rises; as a guide (--method vge "
