@@ -302,7 +302,7 @@ _B1, _B2 = (_read(types.boolean, n) for n in (1, 2))
 # with its signature given it is compiled when imported, not in the middle of a control loop
 _HAND_AND_CONTACTS = (_F4, _F3, _I2, _I1, _F2, _F2, _B2, _B2, _F3, _F3, _F2)
 _OBJECT_AND_WANTED = (_F2, _F2, _F2, _F2, _B1, _F2, _F2, _F2)
-_SETTINGS = (_F1, types.UniTuple(types.float64, 16), _F2)
+_SETTINGS = (_F1, types.UniTuple(types.float64, 17), _F2)
 
 
 @_compiled((_F1, _F1, _F2, _F2, _F1, _B1, _F1, _F1))
@@ -364,8 +364,8 @@ def in_grasp_step(
     count, m = touch.shape
     n = joints.shape[1]
     (grip, gain, rho, least, friction, length, damping, dt) = settings[:8]
-    (height_gain, centring_gain, tilt_gain, closing_speed, max_lead) = settings[8:13]
-    (reach_distance, reach_margin, link_limit) = settings[13:]
+    (height_gain, centring_gain, tilt_gain, closing_speed, closing_lead) = settings[8:13]
+    (max_lead, reach_distance, reach_margin, link_limit) = settings[13:]
     change = np.zeros(q.shape)
     desired = np.zeros((count, m))
     residual = np.zeros(count)
@@ -516,8 +516,15 @@ def in_grasp_step(
                 for c in range(3):
                     velocity[c] = lever[i, c] - along * axis[c]
                     square += velocity[c] ** 2
+                size = max(np.sqrt(square), 1e-9)
+                ahead = 0.0
+                for j in range(counts[i]):
+                    lead = q_target[e, joints[i, j]] - q[e, joints[i, j]]
+                    for c in range(3):
+                        ahead -= lead * jacobian[j, c] * velocity[c] / size
+                speed = closing_speed * min(max(1.0 - ahead / closing_lead, -1.0), 1.0)
                 for c in range(3):
-                    velocity[c] *= -closing_speed / max(np.sqrt(square), 1e-9)
+                    velocity[c] *= -speed / size
 
             # dq = J^T (J J^T + damping^2 I)^-1 v dt, the 3 x 3 system by cofactors
             xx = yy = zz = damping**2

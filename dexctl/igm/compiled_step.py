@@ -48,6 +48,7 @@ class CompiledStep:
             float(config.centring_gain),
             float(config.tilt_gain),
             float(config.closing_speed),
+            float(config.closing_lead),
             float(config.max_lead),
             float(config.reach_distance),
             float(config.reach_margin),

@@ -50,6 +50,10 @@ class InGraspManipulationConfig:
     hold it (`dexctl.grasp.odometry.ContactOdometry`); else the contacts' centroid stands for it."""
     closing_speed: float = 0.03
     """Fingers out of touch move towards the object at this speed [m/s]."""
+    closing_lead: float = 0.006
+    """Until their set-points are so far ahead of them [m]: what stops such a finger (the object at
+    its link, another finger) is pressed no harder than its servos press over that way. It must be
+    enough for a touch to be felt."""
     reach_distance: float = 0.01
     """The wanted motion slows down over the last so much of the way that some finger has along it,
     and stops at its end: a joint's limit, a posture in which it cannot go on, a contact that has
@@ -72,7 +76,7 @@ class InGraspManipulationConfig:
         check_twist(self.twist)
         check_numbers(
             self,
-            positive=("grip_force", "damping", "max_joint_speed", "max_lead"),
+            positive=("grip_force", "damping", "closing_lead", "max_joint_speed", "max_lead"),
             not_negative=(
                 "stability_gain",
                 "regulariser",
@@ -145,6 +149,7 @@ class InGraspManipulationChanges(TypedDict, total=False):
     tilt_gain: float
     odometry: bool
     closing_speed: float
+    closing_lead: float
     reach_distance: float
     reach_margin: float
     link_limit: float

@@ -85,7 +85,8 @@ class PlainStep:
         rigid = twist[:, None, :3] + cross(twist[:, None, 3:], lever)  # G^T t
         velocity += np.where(touching, rigid, 0.0)
         if step.closing.any():
-            velocity += np.where(step.closing[..., None], self._closing(lever), 0.0)
+            closing = self._closing(lever, self._ahead(step, jacobian))
+            velocity += np.where(step.closing[..., None], closing, 0.0)
 
         change = self._inverse.solve(jacobian, velocity * self._dt)
         change = self._limits(step.q, step.q_target, change)
@@ -93,18 +94,27 @@ class PlainStep:
 
     def _yield(self, velocity: Floats, step: StepInput, jacobian: Floats) -> None:
         """Where fingers yield, let the set-point go back to the finger besides, in place."""
-        lead = (step.q_target - step.q)[:, self._hand.finger_joints][..., None, :]
-        deflection = (lead @ jacobian)[..., 0, :]
         # exact over a control period of any length
         speed = -np.expm1(-step.yielding * self._dt) / self._dt
         where = (step.yielding > 0) & step.touch
-        velocity -= np.where(where, speed, 0.0)[..., None] * deflection
+        velocity -= np.where(where, speed, 0.0)[..., None] * self._ahead(step, jacobian)
 
-    def _closing(self, lever: Floats) -> Floats:
-        """Velocity across the axis of rotation, towards the object's centre."""
+    def _ahead(self, step: StepInput, jacobian: Floats) -> Floats:
+        """How far the set-points are ahead of each finger, at its contact or tip ``(N, m, 3)``."""
+        lead = (step.q_target - step.q)[:, self._hand.finger_joints][..., None, :]
+        return (lead @ jacobian)[..., 0, :]
+
+    def _closing(self, lever: Floats, ahead: Floats) -> Floats:
+        """Velocity across the axis of rotation, towards the object's centre.
+
+        It ends, and turns round, where the set-points are too far ahead: the finger is stopped.
+        """
+        config = self._config
         across = lever - (lever @ self._axis)[..., None] * self._axis
         distance = np.sqrt((across * across).sum(axis=-1, keepdims=True))
-        return -self._config.closing_speed * across / np.maximum(distance, 1e-9)
+        inward = -across / np.maximum(distance, 1e-9)
+        lead = (inward * ahead).sum(axis=-1, keepdims=True)
+        return config.closing_speed * np.clip(1.0 - lead / config.closing_lead, -1.0, 1.0) * inward
 
     def _regulation(self, step: StepInput, origin: Floats) -> Floats:
         """The twist ``(N, 6)`` that takes the objects back to their references."""

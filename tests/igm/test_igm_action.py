@@ -222,6 +222,26 @@ def test_fingers_out_of_touch_close_in_across_the_axis(dex5, grasp_of, posture):
     )
 
 
+def test_closing_in_ends_where_the_set_points_are_far_enough_ahead(dex5, grasp_of, posture):
+    """Half way there it is half as fast; further ahead than twice as far it goes back as fast."""
+    state = grasp_of(dex5, wiggled(posture, 5))
+    touch = np.array([True, True, True, False, True])
+    state = replace(state, in_contact=touch)
+    tips = dex5.fingertip_positions(state.q)
+    across = (tips[3] - state.object_position) * [1.0, 1.0, 0.0]
+    inward = -across / np.linalg.norm(across)
+    jacobian = dex5.contact_jacobian(state.q, tips)[3]
+    way = np.linalg.pinv(jacobian) @ inward  # joints that take the tip inward
+    for ahead, share in ((0.003, 0.5), (0.006, 0.0), (0.009, -0.5), (0.03, -1.0), (-0.01, 1.0)):
+        pressed = replace(state, q_target=state.q + ahead * way)
+        for engine in ("plain", "auto"):
+            controller = InGraspManipulation(
+                dex5, closing_speed=0.03, closing_lead=0.006, engine=engine, **EXACT
+            )
+            moved = (jacobian @ controller.act(pressed)) / controller.control_period
+            np.testing.assert_allclose(moved, share * 0.03 * inward, rtol=1e-5, atol=1e-8)
+
+
 def test_the_middle_of_the_contacts_stands_in_for_an_untracked_object(dex5, grasp_of, posture):
     """The centre of the smallest ball around them; for the thesis's controller, their centroid."""
     state = grasp_of(dex5, wiggled(posture, 6))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,23 @@ def test_holds_where_touch_counts_from_one_newton_on():
     found = run(InGraspManipulation(scene.hand), sim, 30.0)
     assert found.held.all()
     assert (found.final_rotation > 1.5).all()
+
+
+def test_a_finger_whose_touch_is_not_felt_does_not_push_the_object_away(cylinder):
+    """It closes in, is stopped by the object, and presses no harder than its lead says."""
+    sim = BatchSimulator(cylinder, 2)
+    sim.reset(0)
+    start = sim.start_position
+    controller = InGraspManipulation(cylinder.hand, twist=(0.0,) * 6)
+    for _ in range(100):
+        state = sim.read()
+        force = state.contact_force[:, 1]
+        blind = np.array(state.in_contact)
+        blind[:, 1] = False
+        sim.write(state.q_target + controller.act(replace(state, in_contact=blind)))
+        sim.step()
+    assert (force > 0.2).all() and (force < 2.0).all()
+    assert (np.linalg.norm(sim.read().object_position - start, axis=-1) < 0.003).all()
 
 
 def test_regulation_brings_a_lifted_object_back(cylinder):
