@@ -39,7 +39,9 @@ HELD: dict[str, dict[str, dict[str, float]]] = {
     "leap_hand": {"sphere": {}, "cube": {"object_size": 0.06}},
     "shadow_hand": {"sphere": {}, "cube": {}},
 }
-_SLOW = InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), stability_gain=0.01)
+_SLOW = InGraspManipulationConfig(
+    twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), stability_gain=0.01, closing_lead=0.004
+)
 # title: controller and what differs from its defaults
 CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
     "in-grasp manipulation": ("igm", {"config": _SLOW}),

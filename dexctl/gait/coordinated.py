@@ -70,6 +70,9 @@ class CoordinatedGaitConfig:
     that lean, unseen, it would slip down a little with every switch."""
     pause: float = 0.1
     """Between two switches of a hand [s]."""
+    lost_after: float = 1.0
+    """A finger that has closed in for so long and touches nothing, while all others do, is put down
+    anew [s]: its link lies on the object, or another finger is in its way."""
     friction: float = 0.8
     """Assumed by the force-closure guard."""
     hold_force: float = 0.3
@@ -93,6 +96,7 @@ class CoordinatedGaitConfig:
                 "spacing",
                 "cradle",
                 "pause",
+                "lost_after",
                 "hold_force",
                 "residual_weight",
             ),
@@ -138,6 +142,7 @@ _FEW: dict[str, Any] = {
         twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25),
         grip_force=3.0,
         stability_gain=0.008,
+        closing_lead=0.004,
         height_gain=1.0,
         centring_gain=1.0,
     ),
@@ -174,6 +179,7 @@ class CoordinatedGaitChanges(TypedDict, total=False):
     level: float
     cradle: float
     pause: float
+    lost_after: float
     friction: float
     hold_force: float
     residual_weight: float
@@ -260,6 +266,7 @@ class CoordinatedGait(BatchController):
             "neutral": self._neutral,
             "height": self._height,
             "wait": self._wait,
+            "lost": self._lost,
             "aim": self._aim,
             "radius": self._radius,
             "direction": self._direction,
@@ -390,6 +397,7 @@ class CoordinatedGait(BatchController):
         self._neutral[fresh] = flat / np.maximum(length, 1e-9)
         self._height[fresh] = 0.0
         self._wait[fresh] = 0.0
+        self._lost[fresh] = 0.0
         self._direction[fresh] = 1.0
         self.switch.clear(fresh)
         self._fresh = np.zeros(count, bool)
@@ -402,6 +410,7 @@ class CoordinatedGait(BatchController):
         self._neutral = np.zeros((count, self.hand.n_fingers, 3))
         self._height = np.zeros((count, self.hand.n_fingers))
         self._wait = np.zeros(count)
+        self._lost = np.zeros((count, self.hand.n_fingers))
         # of the landing under way: where round the axis, as `azimuth`, and how far from it
         self._aim, self._radius = np.zeros(count), np.zeros(count)
         self._direction = np.ones(count)
@@ -425,6 +434,8 @@ class CoordinatedGait(BatchController):
         Those come on with the object while a finger is in the air: a landing that stayed where it
         was would be on the neighbour's tip by the time it is reached.
         """
+        lost = ~grasps.touch & ~self.switch.released
+        self._lost = np.where(lost, self._lost + self.control_period, 0.0)
         begin, chosen = self._spared(grasps, angle, flat)
         finger = np.where(begin, chosen, self.switch.finger)
         if (finger < 0).all():
@@ -461,6 +472,11 @@ class CoordinatedGait(BatchController):
                 friction=config.friction,
             )
             begin[ready], finger[ready] = choice.found, choice.finger
+            longest = self._lost[ready].argmax(axis=1)
+            late = self._lost[ready, longest] > config.lost_after
+            late &= grasps.touch[ready].sum(axis=1) == self.hand.n_fingers - 1
+            begin[ready] |= late
+            finger[ready] = np.where(late, longest, finger[ready])
         return begin, finger
 
     def _level(self, landed: np.ndarray, lever: Floats, below: Floats) -> None:

@@ -62,6 +62,32 @@ def test_the_rest_is_a_force_closure_whenever_a_finger_lifts(turned_cube):
         )
 
 
+@pytest.mark.parametrize("lost_after", [1.0, 100.0])
+def test_a_finger_that_finds_nothing_is_put_down_anew(cube, lost_after):
+    """Only after it has closed in for a while, and while the others hold."""
+    sim = BatchSimulator(cube, 1)
+    sim.reset(0)
+    still = InGraspManipulationConfig(twist=(0.0, 0.0, 0.0, 0.0, 0.0, 1e-9))
+    gait = CoordinatedGait(cube.hand, in_grasp=still, swing=0.0, lost_after=lost_after)
+    begun = []
+    for step in range(60):
+        state = sim.read()
+        blind = np.array(state.in_contact)
+        blind[:, 3] = False
+        sim.write(state.q_target + gait.act(replace(state, in_contact=blind)))
+        sim.step()
+        if gait.diagnostics["phase"][0] != Phase.IDLE:
+            begun.append((step, int(gait.diagnostics["finger"][0])))
+    if lost_after == 100.0:
+        assert not begun
+    else:
+        assert begun[0][0] in (19, 20) and {finger for _, finger in begun} == {3}
+    gait.reset()
+    for _ in range(25):  # nothing holds: nothing is lifted
+        gait.act(replace(sim.read(), in_contact=np.zeros((1, 5), bool)))
+    assert gait.diagnostics["phase"][0] == Phase.IDLE
+
+
 def test_one_finger_at_a_time(turned_cube):
     """Four of five hold on while one is on its way."""
     phase = turned_cube.diagnostics["phase"]
@@ -229,7 +255,15 @@ def test_a_full_turn_of_the_cylinder(cylinder):
 # -- settings -----------------------------------------------------------------------------------
 
 POSITIVE = ("most_travel", "slow_down", "friction", "residual_limit")
-NOT_NEGATIVE = ("swing", "least_travel", "cradle", "pause", "hold_force", "residual_weight")
+NOT_NEGATIVE = (
+    "swing",
+    "least_travel",
+    "cradle",
+    "pause",
+    "lost_after",
+    "hold_force",
+    "residual_weight",
+)
 
 
 @pytest.mark.parametrize("field", [*POSITIVE, *NOT_NEGATIVE])
