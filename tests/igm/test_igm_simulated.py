@@ -68,7 +68,7 @@ def test_a_finger_whose_touch_is_not_felt_does_not_push_the_object_away(cylinder
     sim = BatchSimulator(cylinder, 2)
     sim.reset(0)
     start = sim.start_position
-    controller = InGraspManipulation(cylinder.hand, twist=(0.0,) * 6)
+    controller = InGraspManipulation(cylinder.hand, twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     force = np.zeros(2)
     for _ in range(100):
         state = sim.read()
