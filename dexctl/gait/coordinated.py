@@ -70,7 +70,7 @@ class CoordinatedGaitConfig:
     that lean, unseen, it would slip down a little with every switch."""
     pause: float = 0.1
     """Between two switches of a hand [s]."""
-    lost_after: float = 1.0
+    lost_after: float = 2.5
     """A finger that has closed in for so long and touches nothing, while all others do, is put down
     anew [s]: its link lies on the object, or another finger is in its way."""
     friction: float = 0.8
@@ -154,6 +154,7 @@ _FEW: dict[str, Any] = {
     "most_travel": 0.33,
     "slow_down": 0.1,
     "pause": 0.05,
+    "lost_after": 1.0,
     "cradle": 0.0,  # it presses spheres out of four fingers
     "follow": False,  # following it lost cubes: 4 of 16 more on the LEAP, 5 on the Shadow hand
     "level": 0.5,
