@@ -430,13 +430,12 @@ class CoordinatedGait(BatchController):
         return np.where(state.normals_felt, 0.0, self.config.cradle * down)
 
     def _begin_and_aim(self, grasps: Grasps, angle: Floats, flat: Floats, below: Floats) -> None:
-        """Begin switches where a finger can be spared; keep all landings off the fingers behind.
+        """Begin switches of fingers that can be spared, or are lost; keep all landings off the
+        fingers behind.
 
         Those come on with the object while a finger is in the air: a landing that stayed where it
         was would be on the neighbour's tip by the time it is reached.
         """
-        lost = ~grasps.touch & ~self.switch.released
-        self._lost = np.where(lost, self._lost + self.control_period, 0.0)
         begin, chosen = self._spared(grasps, angle, flat)
         finger = np.where(begin, chosen, self.switch.finger)
         if (finger < 0).all():
@@ -460,6 +459,8 @@ class CoordinatedGait(BatchController):
         busy = self.switch.phase != Phase.IDLE
         begin, finger = np.zeros(len(busy), bool), np.zeros(len(busy), int)
         self._wait = np.where(busy, config.pause, self._wait - self.control_period)
+        lost = ~grasps.touch & ~self.switch.released
+        self._lost = np.where(lost, self._lost + self.control_period, 0.0)
         ready = np.flatnonzero(~busy & (self._wait <= 0.5 * self.control_period))
         if len(ready):
             landing = self._landings(angle[ready], flat[ready], self._direction[ready])
@@ -473,11 +474,11 @@ class CoordinatedGait(BatchController):
                 friction=config.friction,
             )
             begin[ready], finger[ready] = choice.found, choice.finger
+            alone = grasps.touch[ready].sum(axis=1) == self.hand.n_fingers - 1
             longest = self._lost[ready].argmax(axis=1)
-            late = self._lost[ready, longest] > config.lost_after
-            late &= grasps.touch[ready].sum(axis=1) == self.hand.n_fingers - 1
-            begin[ready] |= late
-            finger[ready] = np.where(late, longest, finger[ready])
+            anew = alone & (self._lost[ready, longest] > config.lost_after)
+            begin[ready] |= anew
+            finger[ready] = np.where(anew, longest, finger[ready])
         return begin, finger
 
     def _level(self, landed: np.ndarray, lever: Floats, below: Floats) -> None:

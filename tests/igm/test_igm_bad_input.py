@@ -12,7 +12,7 @@ from dexctl import ContactSwitch, CoordinatedGait, InGraspManipulation
 from dexctl.exceptions import InvalidInput
 from dexctl.igm import InGraspManipulationConfig
 
-POSITIVE = ("grip_force", "damping", "max_joint_speed", "max_lead", "length")
+POSITIVE = ("grip_force", "damping", "closing_lead", "max_joint_speed", "max_lead", "length")
 NOT_NEGATIVE = (
     "stability_gain", "regulariser", "friction", "height_gain", "centring_gain", "tilt_gain",
     "closing_speed",
