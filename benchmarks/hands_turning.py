@@ -211,8 +211,8 @@ def main() -> None:
     def save(*, say: bool) -> None:
         table = {
             "title": f"Hands of the menagerie, {given.seconds:g} s, {given.trials} trials each; "
-            "objects of 50 g; in-grasp manipulation with 0.25 rad/s, a stability gain of 0.01 and a "
-            "closing lead of 4 mm",
+            "objects of 50 g; in-grasp manipulation with 0.25 rad/s, a stability gain of 0.01 and "
+            "a closing lead of 4 mm",
             "header": [
                 "Hand", "Object", "Palm", "Controller", "Rotation: median (10-90 %) [rad]",
                 "Time held: median [s]", "Turned once before any drop (95 % interval)",
