@@ -29,7 +29,6 @@ from common import (
 
 from dexctl import HandModel, controllers, hands
 from dexctl.exceptions import DexctlError, HandModelError
-from dexctl.igm import InGraspManipulationConfig
 from dexctl.sim import SceneConfig
 
 # what suits each hand: of the width and mass and at the place in its toml, which `dexctl hands add`
@@ -39,12 +38,9 @@ HELD: dict[str, dict[str, dict[str, float]]] = {
     "leap_hand": {"sphere": {}, "cube": {"object_size": 0.06}},
     "shadow_hand": {"sphere": {}, "cube": {}},
 }
-_SLOW = InGraspManipulationConfig(
-    twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25), stability_gain=0.01, closing_lead=0.004
-)
 # title: controller and what differs from its defaults
 CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
-    "in-grasp manipulation": ("igm", {"config": _SLOW}),
+    "in-grasp manipulation": ("igm", {}),
     (GAIT := "coordinated gait"): ("coordinated", {}),
 }
 OBJECTS = ("sphere", "cube")  # of a hand that is not among these
@@ -211,8 +207,7 @@ def main() -> None:
     def save(*, say: bool) -> None:
         table = {
             "title": f"Hands of the menagerie, {given.seconds:g} s, {given.trials} trials each; "
-            "objects of 50 g; in-grasp manipulation with 0.25 rad/s, a stability gain of 0.01 and "
-            "a closing lead of 4 mm",
+            "objects of 50 g; each controller with the settings that suit the hand",
             "header": [
                 "Hand", "Object", "Palm", "Controller", "Rotation: median (10-90 %) [rad]",
                 "Time held: median [s]", "Turned once before any drop (95 % interval)",

@@ -15,6 +15,7 @@ from dexctl.gait.selection import Grasps, choose, holds_without
 from dexctl.grasp.odometry import ContactOdometry
 from dexctl.hand import HandModel
 from dexctl.igm import InGraspManipulation, InGraspManipulationConfig, Share
+from dexctl.igm.config import FEW, few_fingers
 from dexctl.limits import SetPointLimits
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Floats, GraspState
@@ -75,6 +76,10 @@ class CoordinatedGaitConfig:
     anew [s]: its link lies on the object, or another finger is in its way."""
     friction: float = 0.8
     """Assumed by the force-closure guard."""
+    resting_friction: float | None = None
+    """In its place where the object's weight goes straight into the palm, and between the two as
+    far as it does: an object that slips there comes to rest in the hand, and is not lost. None: no
+    other. What the state does not tell gravity of is guarded by `friction`."""
     hold_force: float = 0.3
     """Fingers count as holding from this normal force on [N]."""
     residual_weight: float = 2.0
@@ -101,9 +106,8 @@ class CoordinatedGaitConfig:
                 "residual_weight",
             ),
             fractions=("level",),
+            optional=("unfelt_travel", "resting_friction"),
         )
-        if self.unfelt_travel is not None:
-            check_numbers(self, positive=("unfelt_travel",))
         if not any(self.in_grasp.twist[3:]):
             raise InvalidInput(
                 f"in_grasp.twist is {self.in_grasp.twist}; a gait needs a rotation (last three)"
@@ -117,7 +121,7 @@ class CoordinatedGaitConfig:
         finger's width apart, and some more.
         """
         reach = hand.config.object.reach or np.inf
-        found = cls() if hand.n_fingers > 4 else cls(**_FEW)
+        found = cls(**_FEW) if few_fingers(hand) else cls()
         usual = min(found.most_travel, 1.1 * reach)
         return replace(
             found,
@@ -129,6 +133,16 @@ class CoordinatedGaitConfig:
             slow_down=min(found.slow_down, 0.35 * reach),
         )
 
+    def guarded(self, state: GraspState) -> Floats:
+        """The friction that the guard assumes of each hand of a batch, ``(N,)``."""
+        usual, resting, gravity = self.friction, self.resting_friction, state.gravity
+        if resting is None or gravity is None:
+            return np.full(len(state.q), usual)
+        size = np.sqrt((gravity * gravity).sum(axis=-1))
+        # z of the hand's frame is where the palm looks
+        into = np.clip(-gravity[:, 2] / np.maximum(size, 1e-9), 0.0, 1.0)
+        return usual + into * (resting - usual)
+
     def about(self, axis: object) -> CoordinatedGaitConfig:
         """The same with the rotation about ``axis`` ``(3,)``, of any length, at the same speed."""
         return replace(self, in_grasp=self.in_grasp.about(axis))
@@ -139,10 +153,8 @@ _MOST_HEIGHT = 0.02  # between fingertip and contact [m]
 # measured on the Allegro and the LEAP hand (docs/what-helped.md)
 _FEW: dict[str, Any] = {
     "in_grasp": _turning(
-        twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.25),
+        **FEW,
         grip_force=3.0,
-        stability_gain=0.008,
-        closing_lead=0.004,
         height_gain=1.0,
         centring_gain=1.0,
     ),
@@ -160,6 +172,7 @@ _FEW: dict[str, Any] = {
     "level": 0.5,
     "hold_force": 0.15,
     "friction": 0.65,
+    "resting_friction": 0.8,
     "residual_weight": 1.0,  # three on a sphere always leave some; 2 was not measured here
     "residual_limit": 1.0,  # closure alone decides: a limit leaves the object waiting for good
 }
@@ -182,6 +195,7 @@ class CoordinatedGaitChanges(TypedDict, total=False):
     pause: float
     lost_after: float
     friction: float
+    resting_friction: float | None
     hold_force: float
     residual_weight: float
     residual_limit: float
@@ -335,11 +349,11 @@ class CoordinatedGait(BatchController):
         normal = np.where(state.in_contact[..., None], state.contact_normal, 0.0)
         point = np.where(state.in_contact[..., None], state.contact_position, tip)
         firm = state.in_contact & (state.contact_force > self.config.hold_force)
-        grasps = Grasps(point, normal, state.in_contact, firm, origin)
+        grasps = Grasps(point, normal, state.in_contact, firm, origin, self.config.guarded(state))
         self._begin_and_aim(grasps, angle, flat, below)
 
         def may_lift(rows: np.ndarray, finger: np.ndarray) -> np.ndarray:
-            return holds_without(grasps.of(rows), finger, self.config.friction)
+            return holds_without(grasps.of(rows), finger)
 
         placing = self.switch.phase == Phase.PLACE
         switching = self.switch.command(state, now, origin, may_lift)
@@ -471,7 +485,6 @@ class CoordinatedGait(BatchController):
                 residual_weight=config.residual_weight,
                 residual_limit=config.residual_limit,
                 push_friction=config.in_grasp.friction,
-                friction=config.friction,
             )
             begin[ready], finger[ready] = choice.found, choice.finger
             alone = grasps.touch[ready].sum(axis=1) == self.hand.n_fingers - 1

@@ -175,10 +175,11 @@ class Macro(BatchController):
             state.in_contact,
             state.in_contact,
             origin,
+            np.full(len(origin), self.config.friction),
         )
 
         def may_lift(rows: np.ndarray, finger: np.ndarray) -> Bools:
-            return holds_without(grasps.of(rows), finger, self.config.friction)
+            return holds_without(grasps.of(rows), finger)
 
         switching = self.switch.command(state, now, origin, may_lift)
         switching = self._limits(state.q, state.q_target, switching)

@@ -20,6 +20,7 @@ class Grasps(NamedTuple):
         touch: ``(N, m)``.
         firm: fingers that press hard enough to count on, ``(N, m)``.
         origin: the objects' centres, ``(N, 3)``.
+        friction: that the force-closure guard assumes, ``(N,)``.
     """
 
     point: Floats
@@ -27,6 +28,7 @@ class Grasps(NamedTuple):
     touch: Bools
     firm: Bools
     origin: Floats
+    friction: Floats
 
     def of(self, rows: NDArray[np.intp]) -> Grasps:
         """The contacts of some of the hands."""
@@ -36,6 +38,7 @@ class Grasps(NamedTuple):
             self.touch[rows],
             self.firm[rows],
             self.origin[rows],
+            self.friction[rows],
         )
 
 
@@ -54,7 +57,6 @@ def choose(
     residual_weight: float,
     residual_limit: float,
     push_friction: float,
-    friction: float,
 ) -> Choice:
     """The finger with the most travel whose absence the others can stand.
 
@@ -66,7 +68,6 @@ def choose(
             is that of the stability QP without the finger, as a share of the grip.
         residual_limit: fingers that would leave more than this are not spared.
         push_friction: of `InGraspManipulationConfig.friction`.
-        friction: for the force-closure guard.
     """
     fingers = travel.shape[1]
     missing = np.eye(fingers, dtype=bool)
@@ -85,21 +86,20 @@ def choose(
     left = np.flatnonzero(np.isfinite(score).any(axis=1))
     while len(left):
         at, best = hopeful[left], score[left].argmax(axis=1)
-        holds = holds_without(grasps.of(at), best, friction, firm_only=True)
+        holds = holds_without(grasps.of(at), best, firm_only=True)
         finger[at], found[at] = best, holds
         score[left, best] = -np.inf
         left = left[~holds & np.isfinite(score[left]).any(axis=1)]
     return Choice(finger, found)
 
 
-def holds_without(
-    grasps: Grasps, finger: NDArray[np.intp], friction: float, *, firm_only: bool = False
-) -> Bools:
+def holds_without(grasps: Grasps, finger: NDArray[np.intp], *, firm_only: bool = False) -> Bools:
     """Whether the grasps ``(K,)`` are force closures without ``finger`` ``(K,)``."""
     if not len(finger):
         return np.zeros(0, bool)
     others = (grasps.firm if firm_only else grasps.touch).copy()
     others[np.arange(len(finger)), finger] = False
+    friction = np.broadcast_to(grasps.friction[:, None], others.shape)
     return is_force_closure(grasps.point, grasps.normal, others, grasps.origin, friction)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
+from dexctl.hand import HandModel
 from dexctl.validation import check_kind, check_numbers, check_settings, check_twist, unit_axis
 
 ENGINES = ("auto", "compiled", "plain")
@@ -101,6 +102,13 @@ class InGraspManipulationConfig:
             raise InvalidInput(f"engine is {self.engine!r}; expected one of {', '.join(ENGINES)}")
 
     @classmethod
+    def suiting(cls, hand: HandModel) -> InGraspManipulationConfig:
+        """What suits a hand: these defaults where five fingers hold, a slower motion and softer
+        corrections where four or fewer do, whose tips are stiffer and whose hold is lost sooner.
+        """
+        return cls(**FEW) if few_fingers(hand) else cls()
+
+    @classmethod
     def for_switching(
         cls, **changes: Unpack[InGraspManipulationChanges]
     ) -> InGraspManipulationConfig:
@@ -131,6 +139,19 @@ class InGraspManipulationConfig:
         speed = float(np.linalg.norm(self.twist[3:]))
         x, y, z = (speed * part for part in unit_axis(axis))
         return replace(self, twist=(*self.twist[:3], x, y, z))
+
+
+# measured on the Allegro and the LEAP hand (docs/what-helped.md)
+FEW: dict[str, Any] = {
+    "twist": (0.0, 0.0, 0.0, 0.0, 0.0, 0.25),
+    "stability_gain": 0.008,
+    "closing_lead": 0.004,
+}
+
+
+def few_fingers(hand: HandModel) -> bool:
+    """Whether so few fingers hold that any one of them that slips or is lifted leaves three."""
+    return hand.n_fingers <= 4
 
 
 class InGraspManipulationChanges(TypedDict, total=False):

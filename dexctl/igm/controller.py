@@ -63,7 +63,8 @@ class InGraspManipulation(Controller):
 
     Args:
         hand: the hand.
-        config: the settings; keyword arguments change single ones.
+        config: the settings; None: `InGraspManipulationConfig.suiting` the hand. Keyword arguments
+            change single ones.
         control_period: [s].
         axis: about which the object is to be turned, ``(3,)``, at the speed of the settings; None
             keeps their axis.
@@ -83,6 +84,7 @@ class InGraspManipulation(Controller):
         **changes: Unpack[InGraspManipulationChanges],
     ) -> None:
         super().__init__(hand, control_period=control_period)
+        config = InGraspManipulationConfig.suiting(hand) if config is None else config
         self.config = with_changes(InGraspManipulationConfig, config, changes, axis)
         self._twist = np.array(self.config.twist, float)
         turn = np.linalg.norm(self._twist[3:])

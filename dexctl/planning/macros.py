@@ -153,6 +153,7 @@ def _choice(gait: CoordinatedGaitConfig, state: GraspState, tip: Floats, travel:
         state.in_contact,
         state.in_contact & (state.contact_force > gait.hold_force),
         np.asarray(state.object_position),
+        gait.guarded(state),
     )
     return choose(
         grasps,
@@ -161,7 +162,6 @@ def _choice(gait: CoordinatedGaitConfig, state: GraspState, tip: Floats, travel:
         residual_weight=gait.residual_weight,
         residual_limit=gait.residual_limit,
         push_friction=gait.in_grasp.friction,
-        friction=gait.friction,
     )
 
 

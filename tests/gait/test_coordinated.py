@@ -11,7 +11,7 @@ import pytest
 from dexctl import GraspState, HandModel
 from dexctl.exceptions import HandModelError, InvalidInput
 from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig
-from dexctl.gait.selection import Grasps, choose
+from dexctl.gait.selection import Grasps, choose, holds_without
 from dexctl.grasp import is_force_closure
 from dexctl.hand_config import HeldObject
 from dexctl.igm import InGraspManipulationConfig
@@ -346,6 +346,7 @@ def test_landings_make_up_for_the_height_by_which_a_finger_missed_the_centre(cub
         state.in_contact,
         state.in_contact,
         np.asarray(state.object_position),
+        gait.config.guarded(state),
     )
     gait.switch.clear(np.ones(2, bool))
     gait._wait[:] = 0.0
@@ -425,19 +426,18 @@ def test_four_fingers_do_not_wait_for_a_thumb_that_the_others_could_spare(
     around = np.radians([-72.0, -2.0, 52.0, -150.0])
     lever = np.stack([np.cos(around), np.sin(around), np.zeros(4)], axis=-1)
     touch = np.ones((1, 4), bool)
-    grasps = Grasps(0.045 * lever[None], -lever[None], touch, touch, np.zeros((1, 3)))
+    contacts = (0.045 * lever[None], -lever[None], touch, touch, np.zeros((1, 3)))
     # the thumb has come all the way, the others have just been put back
     travel = np.array([[0.13, 0.07, 0.0, 0.58]])
     few = replace(four_fingers.config, description=four_fingers.path, object=HeldObject())
     config = CoordinatedGaitConfig.suiting(few.build())
     found = choose(
-        grasps,
+        Grasps(*contacts, np.array([config.friction])),
         travel,
         least_travel=config.least_travel,
         residual_weight=config.residual_weight,
         residual_limit=config.residual_limit,
         push_friction=config.in_grasp.friction,
-        friction=config.friction,
     )
     assert found.found.all() and found.finger.tolist() == [3]
 
@@ -448,7 +448,7 @@ def test_the_next_best_finger_where_the_best_cannot_be_spared() -> None:
     normal = np.array([[-0.8, 0.6, 0.0], [-0.6, -0.8, 0.0], [-0.6, -0.8, 0.0], [0.6, 0.8, 0.0]])
     lever = 0.024 * np.stack([np.cos(around), np.sin(around), np.zeros(4)], axis=-1)
     touch = np.ones((1, 4), bool)
-    grasps = Grasps(lever[None], normal[None], touch, touch, np.zeros((1, 3)))
+    grasps = Grasps(lever[None], normal[None], touch, touch, np.zeros((1, 3)), np.array([0.65]))
 
     def chosen(travel: list[float]) -> tuple[bool, int]:
         found = choose(
@@ -458,12 +458,38 @@ def test_the_next_best_finger_where_the_best_cannot_be_spared() -> None:
             residual_weight=0.0,
             residual_limit=9.0,
             push_friction=0.2,
-            friction=0.65,
         )
         return bool(found.found[0]), int(found.finger[0])
 
     assert chosen([0.18, 0.59, 0.0, 0.82]) == (True, 1)
     assert not chosen([0.0, 0.0, 0.0, 0.82])[0]
+
+
+def test_the_guard_is_bolder_where_the_weight_goes_into_the_hand(cylinder) -> None:
+    down = np.array([[0, 0, -9.81], [0, 0, 9.81], [9.81, 0, 0], [0, -5.0, -5.0], [0, 0, 0]])
+    state = replace(BatchSimulator(cylinder, 5).read(), gravity=down)
+    config = CoordinatedGaitConfig(friction=0.6, resting_friction=0.8)
+    half = 0.6 + 0.2 * np.sqrt(0.5)
+    assert config.guarded(state) == pytest.approx(np.array([0.8, 0.6, 0.6, half, 0.6]))
+    assert (config.guarded(replace(state, gravity=None)) == 0.6).all()
+    assert (CoordinatedGaitConfig(friction=0.6).guarded(state) == 0.6).all()
+
+
+@pytest.mark.parametrize("friction", [0.0, -1.0, np.nan, np.inf, "far", True], ids=repr)
+def test_a_resting_friction_that_is_none(friction) -> None:
+    with pytest.raises(InvalidInput, match="^resting_friction is .*expected"):
+        CoordinatedGaitConfig(resting_friction=friction)
+
+
+def test_a_finger_is_lifted_palm_up_that_is_not_palm_down() -> None:
+    """The cube on which the Allegro hand stands still: the thumb opposes two of the others."""
+    around = np.array([-1.25, 0.58, 1.44, -2.4])
+    normal = np.array([[-0.8, 0.6, 0.0], [-0.6, -0.8, 0.0], [-0.6, -0.8, 0.0], [0.6, 0.8, 0.0]])
+    lever = 0.024 * np.stack([np.cos(around), np.sin(around), np.zeros(4)], axis=-1)
+    one = (np.tile(lever, (2, 1, 1)), np.tile(normal, (2, 1, 1)))
+    touch = np.ones((2, 4), bool)
+    grasps = Grasps(*one, touch, touch, np.zeros((2, 3)), np.array([0.65, 1.6]))
+    assert holds_without(grasps, np.array([3, 3])).tolist() == [False, True]
 
 
 def test_what_suits_a_hand(dex5: HandModel, four_fingers: HandModel) -> None:

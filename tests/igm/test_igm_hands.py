@@ -117,3 +117,16 @@ def test_every_finger_is_a_system_of_its_own_without_a_wrist(make_hand, bent):
     gram = stacked @ stacked.T + DAMPING**2 * np.eye(9)
     expected = stacked.T @ np.linalg.solve(gram, velocity.ravel())
     np.testing.assert_allclose(change, expected, atol=1e-10)
+
+
+def test_what_suits_a_hand(make_hand):
+    """Four fingers or fewer turn more slowly and correct more softly, whoever makes them."""
+    few, five = make_hand((3, 3, 3, 3)), make_hand((3, 3, 3, 3, 3))
+    assert InGraspManipulation(five).config == InGraspManipulationConfig()
+    found = InGraspManipulation(few).config
+    assert found == InGraspManipulationConfig.suiting(few)
+    assert (found.twist[5], found.stability_gain, found.closing_lead) == (0.25, 0.008, 0.004)
+    # single settings change those that suit; settings of one's own are taken as they are
+    assert InGraspManipulation(few, grip_force=4.0).config == replace(found, grip_force=4.0)
+    own = InGraspManipulationConfig(stability_gain=0.02)
+    assert InGraspManipulation(few, own).config == own
