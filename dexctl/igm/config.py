@@ -103,8 +103,8 @@ class InGraspManipulationConfig:
 
     @classmethod
     def suiting(cls, hand: HandModel) -> InGraspManipulationConfig:
-        """What suits a hand: these defaults where five fingers hold, a slower motion and softer
-        corrections where four or fewer do, whose tips are stiffer and whose hold is lost sooner.
+        """What suits a hand: these defaults where five fingers hold; a slower motion and softer
+        corrections where four or fewer do, since three are left at most where one slips.
         """
         return cls(**FEW) if few_fingers(hand) else cls()
 
@@ -150,7 +150,7 @@ FEW: dict[str, Any] = {
 
 
 def few_fingers(hand: HandModel) -> bool:
-    """Whether so few fingers hold that any one of them that slips or is lifted leaves three."""
+    """Whether three fingers at most are left where one slips or is lifted."""
     return hand.n_fingers <= 4
 
 
