@@ -437,9 +437,9 @@ def figures(rows: list[dict[str, Any]], given: Options) -> list[Figure]:
         found.append(
             Figure(
                 f"random actions, nodes a second: ours against the literal loop, K_max {actions}",
-                f"{rate['ours']:.1f} against {rate['literal']:.2f}, {times:.1f} times; the thesis's "
-                f"loop {RandomActions().batch} nodes at a time {rate['batched']:.1f}, lazily "
-                f"{rate['lazy']:.1f}",
+                f"{rate['ours']:.1f} against {rate['literal']:.2f}, {times:.1f} times; the "
+                f"thesis's loop {RandomActions().batch} nodes at a time {rate['batched']:.1f}, "
+                f"lazily {rate['lazy']:.1f}",
                 "10 times (floor: 5)",
                 bool(times >= 10),
             )

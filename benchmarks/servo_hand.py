@@ -2,8 +2,9 @@
 
 Each trial is the command `dexctl hardware run --emulate`, in real time: bus, runner, servos with
 0.6 rad/s, 0.5 N m, 50 ms from a set-point to its effect, touch from 1 N on, joint origins that are
-off, and no camera: who has to know where the object is, is told by touch. Rotation counts up to a
-drop (centre 50 mm from where the controller began) or the end.
+off. Who has to know where the object is, is told by touch, or with ``--pose tracked`` by a tracker
+that is late and has noise. Rotation counts up to a drop (centre 50 mm from where the controller
+began) or the end.
 """
 
 from __future__ import annotations
@@ -13,11 +14,10 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from common import (
-    FIXED,
     FULL_TURN,
     Figure,
     Settings,
@@ -58,19 +58,45 @@ class Options(Settings):
     """Standard deviation of what encoders read at zero: 0.1 rad at the very most [rad]."""
     jobs: int = 3
     """Trials at a time; each takes a quarter of a core."""
+    pose: Literal["touch", "tracked"] = "touch"
+    """By what those know the object's pose who need it."""
+    tracker_latency: float = 0.1
+    """How late a tracker is [s]."""
+    tracker_position_noise: float = 0.003
+    """Standard deviation of each coordinate that it tells [m]."""
+    tracker_rotation_noise: float = 0.05
+    """And of each of three angles [rad]."""
+
+
+TRACKER = ("tracker_latency", "tracker_position_noise", "tracker_rotation_noise")
 
 
 @cache
-def pose_of(who: str) -> str:
-    """From where somebody knows the object's pose: nobody tracks it here."""
-    return "touch" if open_subject(who).controller.tracks else "unknown"
+def needs_pose(who: str) -> bool:
+    """Whether somebody acts only where the object's pose is known."""
+    return open_subject(who).controller.tracks
+
+
+def pose_of(who: str, given: Options) -> str:
+    """From where somebody knows it."""
+    return given.pose if needs_pose(who) else "unknown"
+
+
+def tracker(pose: str, given: Options) -> dict[str, float]:
+    """What the tracker is like, by setting, where there is one."""
+    return {name: getattr(given, name) for name in TRACKER} if pose == "tracked" else {}
 
 
 def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
     """One run."""
+    pose = pose_of(who, given)
+    told = tracker(pose, given)
+    words = [
+        word for name, value in told.items() for word in (f"--{name.replace('_', '-')}", f"{value}")
+    ]
     found = emulated_run(
         who, "--object", turned, "--seconds", f"{given.seconds:g}", "--seed", str(seed),
-        "--joint-offset", f"{given.joint_offset:g}", "--object-pose", pose_of(who),
+        "--joint-offset", f"{given.joint_offset:g}", "--object-pose", pose, *words,
     )  # fmt: skip
     figures = found["figures"]
     lost = figures.get("object_lost_at_s")
@@ -78,7 +104,9 @@ def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
         "who": who,
         "object": turned,
         "seed": seed,
-        "object_pose": pose_of(who),
+        "object_pose": pose,
+        "seconds": given.seconds,
+        **told,
         "rotation_rad": figures["rotation_rad"],
         "lost_at_s": lost,
         # 0: it was lost, or the run ended, before the controller began
@@ -88,48 +116,73 @@ def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
     }
 
 
+def kind(row: dict[str, Any]) -> tuple[Any, ...]:
+    """What trials have in common: who turns what, by which pose and tracker, for how long."""
+    return (
+        row["who"], row["object"], row.get("object_pose", "unknown"), row["seconds"],
+        *(row.get(name) for name in TRACKER),
+    )  # fmt: skip
+
+
+def told_of(row: dict[str, Any]) -> str:
+    """By what the pose is known, for people."""
+    pose = row.get("object_pose")
+    if pose == "tracked":
+        late, place, turn = (row[name] for name in TRACKER)
+        return f", by a tracker {1e3 * late:g} ms late, {1e3 * place:g} mm, {turn:g} rad"
+    return ", told by touch" * (pose == "touch")
+
+
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the trials so far."""
     figures, lines = [], []
     known = list(THESIS)
-    pairs = sorted(
-        {(row["who"], row["object"]) for row in rows},
-        key=lambda pair: (pair[0], known.index(pair[1]) if pair[1] in known else len(known)),
-    )
-    for who, turned in pairs:
-        mine = [row for row in rows if (row["who"], row["object"]) == (who, turned)]
+    kinds = sorted(
+        {kind(row) for row in rows},
+        key=lambda one: (
+            one[0], str(one[2:]), known.index(one[1]) if one[1] in known else len(known), one[1]
+        ),
+    )  # fmt: skip
+    for chosen in kinds:
+        mine = [row for row in rows if kind(row) == chosen]
+        who, turned, _, seconds, *_ = chosen
         turns = np.array([row["rotation_rad"] for row in mine]) / FULL_TURN
         speed = np.array([row["mean_speed_rad_s"] for row in mine])
         kept = share(np.array([row["lost_at_s"] is None for row in mine]))
         revolutions, fast = THESIS.get(turned, (0.0, 0.0))
         median, low, high = (over_seeds(turns)[key] for key in ("median", "p10", "p90"))
-        told = ", told by touch" * (mine[0].get("object_pose") == "touch")
         lines.append(
             [
-                who + told,
+                who + told_of(mine[0]),
                 turned,
+                f"{seconds:g}",
                 f"{median:.1f} ({low:.1f} to {high:.1f})",
                 f"{np.median(speed):.2f} rad/s",
                 f"{revolutions:g} at {fast:g} rad/s" if revolutions else "",
                 percent_interval(kept),
             ]
         )
-        figures.append(
-            Figure(
-                f"emulated servo hand, {who}, {turned}: median revolutions in "
-                f"{given.seconds:g} s or before a drop",
-                f"{median:.1f} at {np.median(speed):.2f} rad/s",
-                f"{revolutions:g} at {fast:g} rad/s (thesis, real hand)",
-                bool(median >= revolutions and np.median(speed) >= fast),
+        asked = [(1, "")] if mine[0].get("object_pose") != "tracked" else [(1, ""), (10, "ten ")]
+        for times, word in asked:
+            goal = f"{revolutions:g} at {fast:g} rad/s (thesis, real hand)"
+            if word:
+                goal = f"{word}times the thesis's revolutions, {times * revolutions:g}, as fast"
+            figures.append(
+                Figure(
+                    f"emulated servo hand, {who}{told_of(mine[0])}, {turned}: median revolutions "
+                    f"in {seconds:g} s or before a drop",
+                    f"{median:.1f} at {np.median(speed):.2f} rad/s",
+                    goal,
+                    bool(median >= times * revolutions and np.median(speed) >= fast),
+                )
             )
-        )
     first = ", ".join(dict.fromkeys(row["who"] for row in rows if "object_pose" not in row))
     slow = f"; speeds of {first}, measured first, count the approach, about 3 % of the time"
     table = {
         "title": f"The emulated servo hand: 0.6 rad/s, 0.5 N m, 50 ms, touch from 1 N, joint "
-        f"origins off by {given.joint_offset:g} rad (standard deviation), {given.trials} trials of "
-        f"{given.seconds:g} s; revolutions before a drop, median (10 to 90 %){slow * bool(first)}",
-        "header": ["", "Object", "Revolutions", "Speed", "Thesis, real hand", "Held"],
+        f"origins off by {given.joint_offset:g} rad (standard deviation), {given.trials} trials "
+        f"each; revolutions before a drop, median (10 to 90 %){slow * bool(first)}",
+        "header": ["", "Object", "seconds", "Revolutions", "Speed", "Thesis, real hand", "Held"],
         "rows": lines,
     }
     write("servo_hand", given, figures, [table], trials=rows, say=say)
@@ -137,15 +190,21 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    rows = earlier("servo_hand", given, (*FIXED, "joint_offset"))
-    done = {(row["who"], row["object"], row["seed"]) for row in rows}
+    rows = earlier("servo_hand", given, ("seed", "joint_offset"))
+    done = {(*kind(row), row["seed"]) for row in rows}
     seeds = range(given.seed, given.seed + given.trials)
     pool = ThreadPoolExecutor(given.jobs)
+
+    def key(who: str, turned: str, seed: int) -> tuple[Any, ...]:
+        pose = pose_of(who, given)
+        row = {"who": who, "object": turned, "object_pose": pose, "seconds": given.seconds}
+        return (*kind({**row, **tracker(pose, given)}), seed)
+
     try:
         waiting = [
             pool.submit(trial, who, turned, seed, given)
             for who, turned, seed in product(given.who, given.objects, seeds)
-            if (who, turned, seed) not in done
+            if key(who, turned, seed) not in done
         ]
         for one in as_completed(waiting):
             rows.append(one.result())

@@ -1,4 +1,4 @@
-"""The fingertips of the emulated hand as a tactile source."""
+"""What the emulated hand senses: fingertips as a tactile source, and a tracker of the object."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 from dexctl.state import Floats
 from hardware.emulator import Emulator
 from hardware.tactile import MOST_AGE, TRUSTED_FORCE, TactileReading, judge
+from hardware.tracking import MOST_AGE as MOST_POSE_AGE
+from hardware.tracking import TrackedPose
 
 
 class EmulatedTactile:
@@ -65,6 +67,33 @@ class EmulatedTactile:
             return None
         position, quaternion = self.truth["object_position"], self.truth["object_quaternion"]
         return np.asarray(position, float), np.asarray(quaternion, float)
+
+    def close(self) -> None:
+        """Nothing to let go of: the emulator is its starter's."""
+
+
+class EmulatedTracker:
+    """Where the emulator's object is, as badly and as late as its scene's tracker tells.
+
+    Args:
+        emulator: with MuJoCo dynamics that hold an object.
+        latency: how late what it tells is [s].
+    """
+
+    def __init__(self, emulator: Emulator, latency: float = 0.0) -> None:
+        self._emulator, self._latency = emulator, latency
+
+    def read(self) -> TrackedPose | None:
+        """Where it is told to be now; None: there is no object."""
+        said = self._emulator.touch()
+        if said is None or said.get("tracked_position") is None:
+            return None
+        return TrackedPose(
+            np.asarray(said["tracked_position"], float),
+            np.asarray(said["tracked_quaternion"], float),
+            time.monotonic() - self._latency,
+            self._latency > MOST_POSE_AGE,
+        )
 
     def close(self) -> None:
         """Nothing to let go of: the emulator is its starter's."""

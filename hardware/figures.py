@@ -124,7 +124,8 @@ def object_turn(log: Log) -> tuple[Floats, Bools] | None:
 
     ``(T,)`` [rad] since the first tick, and ``(T,)`` bool: False once the object is farther from
     where it began than `dexctl.sim.trial.DROP_DISTANCE`; from there on the angle stands still. On a
-    real hand it is as the controller tracked it by touch (`TrackedByTouch`); None where it did not.
+    real hand it is as a tracker told it, or as the controller tracked it by touch
+    (`TrackedByTouch`); None where neither did.
     """
     from dexctl.sim.trial import DROP_DISTANCE, rotation_about
 
@@ -146,17 +147,21 @@ def left_to_goal(log: Log) -> Floats | None:
 
 
 def _object_pose(log: Log) -> tuple[Floats, Floats] | None:
-    """Where the object is at each tick, as the emulator knows or the controller tracked it."""
+    """Where the object is at each tick: as the emulator knows, a tracker or the controller told."""
     none = np.empty(0)
-    position = log.ticks.get("object_position", none)
-    quaternion = log.ticks.get("object_quaternion", none)
-    for values, size in ((position, 3), (quaternion, 4)):
-        if values.dtype == object or values.shape[1:] != (size,):
-            return _tracked(log)
-    return position, quaternion
+    for whose in ("object", "tracked"):
+        position, quaternion = (
+            log.ticks.get(f"{whose}_{what}", none) for what in ("position", "quaternion")
+        )
+        if all(
+            values.dtype != object and values.shape[1:] == (size,)
+            for values, size in ((position, 3), (quaternion, 4))
+        ):
+            return position, quaternion
+    return _tracked_by_touch(log)
 
 
-def _tracked(log: Log) -> tuple[Floats, Floats] | None:
+def _tracked_by_touch(log: Log) -> tuple[Floats, Floats] | None:
     """Where the controller's tracking had the object, at each tick; as last where it is silent."""
     found = {}
     for i, said in enumerate(log.ticks.get("diagnostics", ())):

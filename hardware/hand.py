@@ -33,6 +33,7 @@ from hardware.samples import Health, JointSample, TorqueReport
 from hardware.state_machine import Torque
 from hardware.tactile import NoTactile, TactileReading, TactileSource
 from hardware.ticker import Interrupts, Ticker
+from hardware.tracking import PoseSource, TrackedPose
 from hardware.units import ServoGains, SimGains, to_servo
 
 CONTROL_PERIOD = 0.02
@@ -54,6 +55,7 @@ class ServoHand:
         tactile: what the fingertips feel; default nothing.
         joint_touch: tells touch from the torques that the servos measure, in place of what
             ``tactile`` feels; where there is a ``tactile``, that still says which fingertips touch.
+        tracker: where the object is; default nobody knows.
         gravity: as the hand is mounted, for controllers that go by it: "up" or "down", which way
             the palm looks, or in the hand's frame ``(3,)`` [m/s^2]; None: nobody knows.
         control_period: time of one :meth:`step`, and what the speed limit reckons with [s].
@@ -65,6 +67,7 @@ class ServoHand:
             of 1.5 mrad (a slow motion would be lost if the rounded value were built on); NaN
             until armed.
         gravity: ``(3,)`` [m/s^2], or None.
+        goal: the orientation that states ask for, wxyz ``(4,)``, hand frame, or None.
         speed_limit, torque_limit: of each joint, ``(d,)`` [rad/s], [N m].
         models: of the servos, d; XM430-W210 until `configure` has asked them.
         torque_constant: of the calibration, or the models, ``(d,)`` [N m/A], [N m].
@@ -86,6 +89,7 @@ class ServoHand:
         gains: ServoGains | SimGains | Sequence[SimGains] | None = None,
         tactile: TactileSource | None = None,
         joint_touch: JointTouch | None = None,
+        tracker: PoseSource | None = None,
         gravity: str | ArrayLike | None = None,
         control_period: float = CONTROL_PERIOD,
     ) -> None:
@@ -98,7 +102,10 @@ class ServoHand:
         self._gains = _each(gains, hand.nq)
         self.tactile = tactile or NoTactile(hand.n_fingers)
         self.joint_touch, self._switches = joint_touch, tactile is not None
+        self.tracker = tracker
+        self._look()
         self.gravity = None if gravity is None else gravity_vector(gravity)
+        self.goal: Floats | None = None
         self._ticker = Ticker(control_period)
         self.control_period = control_period
         self.torque = Torque.UNKNOWN
@@ -303,12 +310,14 @@ class ServoHand:
         return self._sample
 
     def read(self) -> GraspState:
-        """The state now; object pose unknown. ``age`` is that of the oldest joint."""
+        """The state now. ``age`` is that of the oldest joint; the object's pose is a tracker's."""
         return self.state(self.sample())
 
     def state(self, sample: JointSample) -> GraspState:
         """The state with the joints of ``sample`` and the touch of now."""
         touch = self._touch = self.tactile.read()
+        self._look()
+        known = None if self._pose is None or self._pose.stale else self._pose
         state = GraspState(
             q=sample.q.copy(),
             q_target=(self.q_target if np.isfinite(self.q_target).all() else sample.q).copy(),
@@ -316,6 +325,9 @@ class ServoHand:
             contact_position=touch.position,
             contact_normal=touch.normal,
             contact_force=touch.force,
+            object_position=None if known is None else known.position,
+            object_quaternion=None if known is None else known.quaternion,
+            goal_quaternion=None if self.goal is None else self.goal.copy(),
             gravity=None if self.gravity is None else self.gravity.copy(),
             time=sample.time,
             age=sample.age,
@@ -333,6 +345,14 @@ class ServoHand:
         )  # fmt: skip
         return state
 
+    def listen(self) -> None:
+        """Take in what fingertips and tracker have sent: what waits is dated when it is read."""
+        self.tactile.read()
+        self._look()
+
+    def _look(self) -> None:
+        self._pose = None if self.tracker is None else self.tracker.read()
+
     @property
     def feels(self) -> bool:
         """Whether anything tells of touch: fingertips, or the torques of the joints."""
@@ -342,6 +362,11 @@ class ServoHand:
     def touch(self) -> TactileReading:
         """What the last state had of the fingertips."""
         return self._touch
+
+    @property
+    def pose(self) -> TrackedPose | None:
+        """What the tracker had said last; None: nothing yet, or nobody tracks."""
+        return self._pose
 
     def health(self) -> Health:
         """How the servos are. One question per call, so it takes three calls to ask them all.

@@ -102,6 +102,17 @@ class Monitor:
         if needed:
             self._happen(Event.TACTILE_NEEDED, detail)
 
+    def at_pose(self) -> None:
+        """A tracker that has fallen silent: whoever is told poses goes by them."""
+        if self._hand.tracker is None:
+            return
+        pose = self._hand.pose
+        if pose is None:
+            self._happen(Event.POSE_STALE, "the tracker has told none yet")
+        elif pose.stale:
+            age = time.monotonic() - pose.time
+            self._happen(Event.POSE_STALE, f"{1e3 * age:.0f} ms old; does the tracker see it?")
+
     def at_clock(self, cycle: float, skipped: int) -> None:
         """Ticks whose work took longer than their period, or that were left out."""
         self._overruns.append(cycle > self._hand.control_period or skipped > 0)

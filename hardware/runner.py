@@ -28,6 +28,7 @@ from hardware.run_report import RunEvent, RunReport
 from hardware.samples import JointSample, TorqueReport
 from hardware.state_machine import COUNTED, Action, Event, State, transition
 from hardware.ticker import Interrupts, Ticker, spread, undisturbed
+from hardware.tracking import TrackedPose
 from hardware.worker import Command, ControllerThread, warm_up
 
 HOLD_SECONDS = 0.2
@@ -105,7 +106,10 @@ class Runner:
                 raise InvalidInput(f"approach is {approach}; expected {hand.hand.nq} finite angles")
         middle = 0.5 * (hand.calibration.lower + hand.calibration.upper)
         start = middle if approach is None else approach
-        warm_up(self._controller, start, self._seed, hand.gravity)
+        warm_up(
+            self._controller, start, self._seed, hand.gravity,
+            tracked=hand.tracker is not None, goal=hand.goal,
+        )  # fmt: skip
         worker = ControllerThread(self._controller)  # before real time: it must not inherit it
         run = _Run(self, worker, seconds, approach)
         self.report = run.report
@@ -206,7 +210,7 @@ class _Run:
         """Send what is to be sent in this state."""
         hand = self.hand
         if self.state is State.ARMED:
-            hand.tactile.read()  # what waits to be read is dated when it is
+            hand.listen()
             there = self.approach is None or self.arrived_at is not None
             if not there and np.abs(self.approach - hand.q_target).max() < 1e-6:
                 there, self.arrived_at = True, time.monotonic()
@@ -250,6 +254,7 @@ class _Run:
     def ask_controller(self, sample: JointSample) -> None:
         state = self.hand.state(sample)
         self.monitor.at_touch(self.runner._needs_tactile)
+        self.monitor.at_pose()
         if self.state is not State.RUN:
             return
         self.worker.ask(state)
@@ -361,6 +366,7 @@ class _Run:
                 "lateness": self.times["lateness"][-1],
                 "controller_seconds": command.seconds if command else None,
                 "diagnostics": command.diagnostics if command else {},
+                **_tracked(self.hand.pose),
                 **(self.runner._extra() if self.runner._extra is not None else {}),
             },
         )
@@ -379,6 +385,17 @@ class _Run:
                     "error": health.error,
                 },
             )
+
+
+def _tracked(pose: TrackedPose | None) -> dict[str, Any]:
+    """What the log has of a tracker: nothing where there is none."""
+    if pose is None:
+        return {}
+    return {
+        "tracked_position": pose.position,
+        "tracked_quaternion": pose.quaternion,
+        "tracked_age": time.monotonic() - pose.time,
+    }
 
 
 def _worse(a: State, b: State) -> bool:

@@ -35,8 +35,8 @@ HELP = {
 }
 """What of the gains is another thing on servos than in the simulator."""
 
-POSES = ("unknown", "touch")
-"""How the object's pose can be known on servos: nothing tracks it there but its controller."""
+POSES = ("unknown", "touch", "tracked")
+"""How the object's pose can be known on servos: by its controller, or from a tracker."""
 
 CLOCK = ("control_period", "substeps")
 """Settings that a servo hand does not have: its control period is the controller's."""

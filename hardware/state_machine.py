@@ -60,6 +60,7 @@ class Event(Enum):
     TACTILE_STALE = "tactile readings stale"
     LOG_LOST = "log message lost"
     TACTILE_NEEDED = "tactile readings stale, and the controller needs them"
+    POSE_STALE = "object's pose stale"
     UNPLUGGED = "bus lost"
 
 
@@ -152,6 +153,7 @@ _ROWS: tuple[tuple[tuple[State, ...], Event, Transition], ...] = (
             Event.HEALTH_LASTS,
             Event.OVERRUNS,
             Event.TACTILE_NEEDED,
+            Event.POSE_STALE,
         )
     ),
 )  # fmt: skip

@@ -113,12 +113,19 @@ def _numbers(controller: Controller) -> dict[str, Any]:
 
 
 def warm_up(
-    controller: Controller, q: Floats, seed: int | None, gravity: Floats | None = None
+    controller: Controller,
+    q: Floats,
+    seed: int | None,
+    gravity: Floats | None = None,
+    *,
+    tracked: bool = False,
+    goal: Floats | None = None,
 ) -> None:
     """Let a controller load and compile what it uses, before torque is on.
 
     It is asked about a made-up grasp at the joints ``q`` ``(d,)`` [rad], all fingers touching,
-    under ``gravity`` ``(3,)`` [m/s^2], and reset afterwards, so that nothing of it stays.
+    under ``gravity`` ``(3,)`` [m/s^2], the object ``tracked`` or not and wanted as ``goal`` says,
+    and reset afterwards, so that nothing of it stays.
     """
     hand = controller.hand
     tip = hand.fingertip_positions(q)
@@ -130,6 +137,9 @@ def warm_up(
         contact_position=tip,
         contact_normal=inward / np.maximum(np.linalg.norm(inward, axis=1), 1e-9)[:, None],
         contact_force=np.full(hand.n_fingers, 2.0),
+        object_position=tip.mean(axis=0) if tracked else None,
+        object_quaternion=np.array([1.0, 0.0, 0.0, 0.0]) if tracked else None,
+        goal_quaternion=goal,
         gravity=gravity,
     )
     controller.reset(seed)

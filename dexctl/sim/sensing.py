@@ -10,6 +10,7 @@ import numpy as np
 from dexctl.exceptions import InvalidInput
 from dexctl.joint_touch import JointTouch
 from dexctl.limits import LONGEST_LATENCY
+from dexctl.rotations import from_rotation_vector, multiply
 from dexctl.settings import NESTED
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.streams import Streams, StreamsState
@@ -64,6 +65,13 @@ class Sensing:
     sensor_latency: float = 0.0
     """How old what is sensed is, rounded to control steps [s], at most 10. Two readings are not
     mixed: a finger touches or not, and contact points of two moments have no middle."""
+    tracker_position_noise: float = 0.0
+    """Standard deviation of each coordinate of the position of a tracked object [m]."""
+    tracker_rotation_noise: float = 0.0
+    """Standard deviation of the turn about each axis of a tracked object's orientation [rad]."""
+    tracker_latency: float = 0.0
+    """How much older than what else is sensed the pose of a tracked object is, rounded to control
+    steps [s], at most 10."""
 
     def __post_init__(self) -> None:
         check_name("touch", self.touch, TOUCHES)
@@ -72,9 +80,16 @@ class Sensing:
         kinds = ("touch", "joint_touch", "object_pose")
         names = tuple(one.name for one in fields(self) if one.name not in kinds)
         check_numbers(self, not_negative=names)
-        if self.sensor_latency > LONGEST_LATENCY:
+        for name in ("sensor_latency", "tracker_latency"):
+            if getattr(self, name) > LONGEST_LATENCY:
+                raise InvalidInput(
+                    f"{name} is {getattr(self, name)}; expected 0 to {LONGEST_LATENCY:g} s"
+                )
+        given = [name for name in TRACKER if getattr(self, name) > 0]
+        if given and self.object_pose != "tracked":
             raise InvalidInput(
-                f"sensor_latency is {self.sensor_latency}; expected 0 to {LONGEST_LATENCY:g} s"
+                f"{given[0]} is {getattr(self, given[0])} and object_pose {self.object_pose!r}; "
+                "expected 'tracked' with it"
             )
 
     @property
@@ -84,7 +99,10 @@ class Sensing:
 
 
 NOISES = ("joint_noise", "position_noise", "normal_noise", "force_noise", "force_noise_share")
-"""The settings of `Sensing` that are noise."""
+"""The settings of `Sensing` that are noise of joints and touch."""
+TRACKER = ("tracker_position_noise", "tracker_rotation_noise", "tracker_latency")
+"""The settings of `Sensing` that are of who tracks the object."""
+_POSE = ("object_position", "object_quaternion")
 
 
 class Sensor:
@@ -124,6 +142,7 @@ class Sensor:
         batch = streams.batch_shape
         self._share = np.ones(batch)
         self._late = np.full(batch, round(sensing.sensor_latency / control_period))
+        self._pose_late = round(sensing.tracker_latency / control_period)  # beside that
         self._threshold = np.zeros((*batch, 1))
         self._dropout = np.zeros(batch)
 
@@ -158,7 +177,7 @@ class Sensor:
     @property
     def _steps(self) -> int:
         """The longest latency, in control steps."""
-        return int(self._late.max(initial=0))
+        return int(self._late.max(initial=0)) + self._pose_late
 
     def __call__(self, state: GraspState, begin: Bools | None = None) -> GraspState:
         """What is sensed of ``state`` ``(N,)``.
@@ -174,6 +193,7 @@ class Sensor:
         if np.any(self.offset):
             state = replace(state, q=state.q + self.offset, q_target=state.q_target + self.offset)
         seen = blurred(state, sensing, self.streams, begin, share=self._share)
+        seen = self._tracked(seen, begin)
         seen = self._felt(seen, begin)
         if self._joint_touch is not None:
             switches = seen.in_contact if sensing.touch == "binary" else None
@@ -202,12 +222,32 @@ class Sensor:
 
     def _oldest(self) -> dict[str, np.ndarray]:
         """What each environment's sensors tell now: the reading as old as its latency."""
-        if (self._late == self._steps).all():
-            return self._past[-1 - self._steps]
-        index, rows = len(self._past) - 1 - self._late, np.arange(len(self._late))
-        return {
-            name: np.stack([one[name] for one in self._past])[index, rows] for name in self._past[0]
-        }
+        return {name: self._then(name) for name in self._past[0]}
+
+    def _then(self, name: str) -> np.ndarray:
+        """One thing of `_oldest`."""
+        late = self._late + self._pose_late if name in _POSE else self._late
+        first = int(late[0])
+        if (late == first).all():
+            return self._past[-1 - first][name]
+        rows = np.arange(len(late))
+        return np.stack([one[name] for one in self._past])[len(self._past) - 1 - late, rows]
+
+    def _tracked(self, seen: GraspState, begin: Bools | None) -> GraspState:
+        """``seen`` with a tracker's noise on the objects' poses."""
+        place, turn = self._sensing.tracker_position_noise, self._sensing.tracker_rotation_noise
+        if not (place or turn):
+            return seen
+        assert seen.object_position is not None
+        assert seen.object_quaternion is not None
+        drawn = self.streams.normal((6,), begin) * self._share[:, None]
+        return replace(
+            seen,
+            object_position=seen.object_position + place * drawn[:, :3],
+            object_quaternion=multiply(
+                from_rotation_vector(turn * drawn[:, 3:]), seen.object_quaternion
+            ),
+        )
 
     def _placed(self, seen: GraspState, begin: Bools | None) -> GraspState:
         """``seen`` with the objects where they are known to be before touch is told from joints."""

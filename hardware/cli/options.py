@@ -21,7 +21,7 @@ from dexctl.state import Floats
 from hardware.bus import Bus
 from hardware.calibration import Calibration
 from hardware.discovery import BAUD_RATES, Found, discover, find_baudrate
-from hardware.emulated_touch import EmulatedTactile
+from hardware.emulated_touch import EmulatedTactile, EmulatedTracker
 from hardware.emulator import Emulator
 from hardware.emulator.dynamics import LONGEST_LATENCY
 from hardware.hand import ServoHand, joint_limits
@@ -33,6 +33,7 @@ from hardware.run_report import RunEvent, RunReport
 from hardware.scene import ASKED, HELP, HOLDING, NOTHING, OF_A_REAL_HAND
 from hardware.state_machine import Event
 from hardware.tactile import SerialTactile, TactileSource
+from hardware.tracking import PoseSource, UdpTracker
 from hardware.units import SimGains, to_servo
 
 _TIMEOUT = 0.01  # beyond the time on the wire, until a servo counts as silent [s]
@@ -221,6 +222,7 @@ class HandOptions:
         *,
         held: SceneConfig | None = None,
         tactile: str | None = None,
+        tracker: str | None = None,
         seed: int = 0,
     ) -> Iterator[Session]:
         """The hand, open and not armed; torque is off and the bus closed when the block ends.
@@ -231,6 +233,7 @@ class HandOptions:
             held: the scene of a hand with its object, which MuJoCo emulates; None: the hand only
                 moves, and is emulated by first-order joints.
             tactile: serial port of the fingertips.
+            tracker: where a real hand's tracker sends poses, `[HOST:]PORT`.
             seed: of what is random in an emulated scene.
         """
         model, calibration = self.load()
@@ -238,6 +241,8 @@ class HandOptions:
         trusted = self.scene.sensing.touch_threshold
         with ExitStack() as stack:
             emulator, source, grasp, pose = None, None, None, None
+            poses: PoseSource | None = None
+            sensing = (held or self.scene).sensing
             if self.emulate:
                 emulator = stack.enter_context(
                     emulate(
@@ -249,11 +254,17 @@ class HandOptions:
                 if held is not None:
                     source = EmulatedTactile(emulator, trusted_force=trusted)
                     pose = source.object_pose()
+                    if sensing.object_pose == "tracked":
+                        late = sensing.sensor_latency + sensing.tracker_latency
+                        poses = EmulatedTracker(emulator, late)
             elif held is not None and held.object != (NOTHING,):
                 grasp, pose = _grasp(held, model, gains)
             if tactile is not None and not self.emulate:
                 source = SerialTactile(tactile, model.n_fingers, trusted_force=trusted)
                 stack.callback(source.close)
+            if tracker is not None and not self.emulate:
+                poses = UdpTracker(tracker)
+                stack.callback(poses.close)
             port = emulator.port if emulator is not None else self.find_port()
             timeout = self.patience * (_TIMEOUT if emulator is None else _EMULATED_TIMEOUT)
             ids = [int(servo) for servo in calibration.servo]
@@ -282,6 +293,7 @@ class HandOptions:
                 gains=gains,
                 tactile=None if how == "joint-torque" else source,
                 joint_touch=felt,
+                tracker=poses,
                 gravity=None if held is None else held.gravity,
                 control_period=control_period,
             )
@@ -314,7 +326,7 @@ def emulate(
     models: tuple[str, ...] = (XM430_W210.name,),
 ) -> Emulator:
     """Emulated servos of these models that are mounted as ``calibration`` says."""
-    # its own sensors need no pose: who tracks the object is on this side of the bus
+    # its tracker is asked where somebody wants to be told; `Sensing` knows how well it does
     scene = replace(scene, sensing=replace(scene.sensing, object_pose="tracked"))
     zeros = np.round(calibration.zero / (2 * np.pi / 4096)).astype(int) % 4096
     middle = np.clip(0.0, calibration.lower, calibration.upper)

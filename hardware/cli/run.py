@@ -37,9 +37,11 @@ from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
 from hardware.scene import ASKED, AUTO, CLOCK, HELP, HOLDING, NOTHING, OF_AN_OBJECT, POSES
 from hardware.state_machine import Event, State
+from hardware.tracking import parse_place, wait_for_pose
 
 Quaternion = tuple[float, float, float, float]
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
+FIRST_POSE = 2.0  # how long a tracker may take to tell one [s]
 _HELD = replace(ASKED, object=(AUTO,))
 _SETTINGS = tuple(name for name in SceneConfig.__dataclass_fields__ if name not in CLOCK)
 _MOTIONS = {"sine": Sine, "chirp": Chirp}  # of an empty hand
@@ -70,6 +72,9 @@ class Run(HandOptions):
     tactile: str | None = None
     """Serial port of the tactile fingertips; emulated ones need none, nor does --touch
     joint-torque. With --touch binary only whether they touch is taken from them."""
+    tracker: str | None = None
+    """Where a tracker sends the object's pose, with --object-pose tracked: UDP port of this
+    machine, or HOST:PORT to listen on. An emulated hand has one of its own."""
     seed: int = 0
     """Seed of the random numbers of the controller, and of an emulated scene."""
     goal: Quaternion | None = None
@@ -101,19 +106,22 @@ class Run(HandOptions):
             )
         pose = self.scene.sensing.object_pose
         check_name("object_pose", pose, POSES)
-        if pose == "touch" and (blind or held.object == (NOTHING,)):
-            what = self.controller if blind else "the empty hand"
-            raise InvalidInput(f"--object-pose is touch; {what} has no object that is touched")
+        empty = held.object == (NOTHING,)
+        if (pose == "touch" and (blind or empty)) or (pose == "tracked" and empty):
+            what = "the empty hand" if empty else self.controller
+            done = "touched" if pose == "touch" else pose
+            raise InvalidInput(f"--object-pose is {pose}; {what} has no object that is {done}")
+        self._check_tracker(pose)
         if self.goal is not None:
             check_goal(self.controller, self.goal, pose)
         model, calibration = self.load()
-        controller = make_controller(self.controller, model, asked, tracked=pose == "touch")
+        controller = make_controller(self.controller, model, asked, tracked=pose != "unknown")
         if self.goal is not None and controller.goes_to_goals is False:
             raise goes_to_none(self.controller, self.goal)
         if self.goal is None and controller.goes_to_goals:
             raise InvalidInput(
                 f"{self.controller} acts only where it has a goal; expected --goal W X Y Z and "
-                "--object-pose touch"
+                "--object-pose touch or tracked"
             )
         if controller.object is not None and self.scene.object == (AUTO,):
             held = replace(held, object=(controller.object,))
@@ -128,14 +136,21 @@ class Run(HandOptions):
         keep_earlier(folder)
         with ExitStack() as stack:
             session = stack.enter_context(
-                self.open(limits, period, held=held, tactile=self.tactile, seed=self.seed)
-            )
+                self.open(
+                    limits, period, held=held, tactile=self.tactile, tracker=self.tracker,
+                    seed=self.seed,
+                )
+            )  # fmt: skip
+            if session.hand.tracker is not None:
+                wait_for_pose(session.hand.tracker, FIRST_POSE)
             log = stack.enter_context(LogWriter(folder / LOG))
             about_it = self._about(model, calibration, limits, held, period)
-            if session.object_pose is not None and pose == "touch":
-                controller = tracked_by_touch(controller, held, session.object_pose, self.goal)
-                if controller.goal is not None:
-                    about_it["goal_quaternion"] = controller.goal.tolist()
+            if self.goal is not None and session.object_pose is not None:
+                goal = multiply(unit_quaternion("goal", self.goal), session.object_pose[1])
+                about_it["goal_quaternion"] = goal.tolist()
+                session.hand.goal = goal
+            if pose == "touch" and session.object_pose is not None:
+                controller = tracked_by_touch(controller, held, session.object_pose)
             log.write("/run", about_it)
             runner = Runner(
                 session.hand,
@@ -155,6 +170,25 @@ class Run(HandOptions):
         if log.error:
             console.print(f"the log is incomplete: {log.error}")
         return finish(found, folder, as_json=self.json)
+
+    def _check_tracker(self, pose: str) -> None:
+        """InvalidInput where a real hand's tracker is missing, or there is one too many."""
+        if self.tracker is None:
+            if pose == "tracked" and not self.emulate:
+                raise InvalidInput(
+                    "--object-pose is tracked; expected --tracker [HOST:]PORT, where poses are "
+                    "sent (or --emulate)"
+                )
+            return
+        parse_place(self.tracker)
+        if pose != "tracked":
+            raise InvalidInput(
+                f"--tracker is {self.tracker} and --object-pose {pose}; expected tracked with it"
+            )
+        if self.emulate:
+            raise InvalidInput(
+                f"--emulate and --tracker {self.tracker} are given; expected one of them"
+            )
 
     def held(self) -> SceneConfig:
         """The scene, with the object that auto stands for.
@@ -246,8 +280,10 @@ def fingers_of(model: HandModel) -> list[int]:
 def check_goal(name: str, goal: Quaternion, pose: str) -> None:
     """Raise InvalidInput where a goal is none, or nobody goes to it or knows how far it is."""
     unit_quaternion("goal", goal)
-    if pose != "touch":
-        raise InvalidInput(f"--goal is {goal} and --object-pose {pose}; expected touch with it")
+    if pose == "unknown":
+        raise InvalidInput(
+            f"--goal is {goal} and --object-pose {pose}; expected touch or tracked with it"
+        )
     follows = controllers.entry(name).follows if controllers.is_named(name) else None
     if follows is not None and "goal_quaternion" not in follows:
         raise goes_to_none(name, goal)
@@ -262,22 +298,15 @@ def goes_to_none(name: str, goal: Quaternion) -> InvalidInput:
 
 
 def tracked_by_touch(
-    controller: Controller,
-    held: SceneConfig,
-    pose: tuple[Floats, Floats],
-    turn: Quaternion | None = None,
+    controller: Controller, held: SceneConfig, pose: tuple[Floats, Floats]
 ) -> TrackedByTouch:
-    """The controller, told where the object of ``held`` is from ``pose`` on.
-
-    And where it is wanted, if it is: turned by ``turn`` from there.
-    """
+    """The controller, told where the object of ``held`` is from ``pose`` on."""
     from dexctl.sim.shapes import Shape
 
     hand = controller.hand
     (scene,) = replace(held, stiffness=None, damping=None).scenes(hand)
     shape = Shape.of_body(scene.model, scene.object_body)
-    goal = None if turn is None else multiply(unit_quaternion("goal", turn), pose[1])
-    return TrackedByTouch(hand, controller, shape, position=pose[0], quaternion=pose[1], goal=goal)
+    return TrackedByTouch(hand, controller, shape, position=pose[0], quaternion=pose[1])
 
 
 def make_controller(
@@ -302,7 +331,7 @@ def make_controller(
     if made.tracks and not tracked:
         raise InvalidInput(
             f"{name} needs the object's pose, and nothing tracks it here; expected --object-pose "
-            "touch, or a controller that does without"
+            "touch or tracked, or a controller that does without"
         )
     if rate is not None and not np.isclose(made.control_period * rate, 1.0):
         raise InvalidInput(f"--rate is {rate:g}; {name} runs at {1.0 / made.control_period:g} Hz")

@@ -174,7 +174,8 @@ class Emulator:
 
         Keys: time [s], age [s], in_contact, position [m], normal (into the object), force [N], one
         entry for each finger; supported (somebody holds the object still); object_position [m] and
-        object_quaternion (wxyz), the truth.
+        object_quaternion (wxyz), the truth; tracked_position and tracked_quaternion, as the
+        scene's tracker tells them.
         """
         return self.ask("touch")
 

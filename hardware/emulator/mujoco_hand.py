@@ -102,6 +102,8 @@ class MujocoHand(Joints):
             "supported": self.supported,
             "object_position": None if self._empty else _list(truth.object_position),
             "object_quaternion": None if self._empty else _list(truth.object_quaternion),
+            "tracked_position": None if self._empty else _list(s.object_position),
+            "tracked_quaternion": None if self._empty else _list(s.object_quaternion),
         }
 
     def support(self, supported: bool) -> None:

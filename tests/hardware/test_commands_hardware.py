@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -26,6 +28,7 @@ from hardware.hand import ServoHand
 from hardware.log import LogWriter, read_log
 from hardware.motions import Replay, Sine, StepAndChirp, lag
 from hardware.report import build
+from hardware.tracking import UdpTracker
 from hardware.units import to_servo
 from learning import policies
 
@@ -87,8 +90,46 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["run", "sine", "--emulate", "--patience", "0"], "patience is 0.0"),
         (["run", "sine", "--emulate", "--stiffness", "-1"], "stiffness is -1.0"),
         (
-            ["run", "igm", "--emulate", "--object-pose", "tracked"],
-            "unknown object_pose 'tracked'; known: unknown, touch",
+            ["run", "igm", "--emulate", "--object-pose", "odometry"],
+            "unknown object_pose 'odometry'; known: unknown, touch, tracked",
+        ),
+        (
+            ["run", "hold", "--object-pose", "tracked"],
+            "--object-pose is tracked; expected --tracker [HOST:]PORT, where poses are sent (or",
+        ),
+        (
+            ["run", "hold", "--tracker", "5005"],
+            "--tracker is 5005 and --object-pose unknown; expected tracked with it",
+        ),
+        (
+            ["run", "hold", "--tracker", "here", "--object-pose", "tracked"],
+            "the tracker's port is 'here'; expected [HOST:]PORT",
+        ),
+        (
+            ["run", "hold", "--emulate", "--tracker", "5005", "--object-pose", "tracked"],
+            "--emulate and --tracker 5005 are given; expected one of them",
+        ),
+        (
+            [
+                "run",
+                "hold",
+                "--tracker",
+                "5005",
+                *["--object-pose", "tracked"],
+                *["--object", "none"],
+            ],
+            "--object-pose is tracked; the empty hand has no object that is tracked",
+        ),
+        (
+            [
+                "run",
+                "hold",
+                "--tracker",
+                "5005",
+                *["--object-pose", "tracked"],
+                *["--tracker-latency", "0.1"],
+            ],
+            "--tracker-latency: a real hand cannot be told",
         ),
         (["run", "hold", "--emulate", "--object-pose", "touch"], "hold has no object that is"),
         (
@@ -97,7 +138,7 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (
             ["run", "goal", "--emulate", *["--goal", "1", "0", "0", "0"]],
-            "--goal is (1.0, 0.0, 0.0, 0.0) and --object-pose unknown; expected touch with it",
+            "--goal is (1.0, 0.0, 0.0, 0.0) and --object-pose unknown; expected touch or tracked",
         ),
         (
             ["run", "igm", "--emulate", *["--goal", "1", "0", "0", "0", "--object-pose", "touch"]],
@@ -121,7 +162,7 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
             ["run", "goal", "--emulate", *["--goal", "2", "0", "0", "0", "--object-pose", "touch"]],
             "goal is (2, 0, 0, 0); expected a unit quaternion",
         ),
-        (["run", "regulated:igm", "--emulate"], "expected --object-pose touch, or a controller"),
+        (["run", "regulated:igm", "--emulate"], "expected --object-pose touch or tracked, or a"),
         (["check", "--hand", "claw"], "unknown hand 'claw'"),
         (["check", "--calibration", "none.toml"], "none.toml is no calibration file"),
         (["check", "--emulate", "--reboot", "300"], "--reboot is 300"),
@@ -277,6 +318,65 @@ def test_an_object_is_tracked_by_touch(tmp_path: Path, capsys: pytest.CaptureFix
     # the truth is of the tick's beginning, what is tracked of the controller's answer to the last
     assert np.abs(place - log.ticks["object_position"][rows]).max() < 0.01
     assert angle_between(turn, log.ticks["object_quaternion"][rows]).max() < 0.15
+
+
+@real_time
+def test_an_object_is_seen_by_a_tracker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A policy that needs to see, on the emulator's tracker: late, and with noise."""
+    words = ["run", "dex5-seen", "--object", "cube", "--object-pose", "tracked"]
+    words += ["--tracker-latency", "0.05", "--tracker-position-noise", "0.002"]
+    words += ["--seconds", "8", "--json", "--out", str(tmp_path)]
+    assert main(["hardware", *words, *PATIENT]) == 0
+    figures = json.loads(capsys.readouterr().out)["figures"]
+    assert figures["rotation_rad"] > 2.0 and "object_lost_at_s" not in figures
+    ticks = read_log(tmp_path / "run.mcap").ticks
+    off = ticks["tracked_position"] - ticks["object_position"]
+    assert 0.001 < np.std(off[ticks["state"] == "run"]) < 0.004
+    np.testing.assert_allclose(np.median(ticks["tracked_age"]), 0.05, atol=0.02)
+
+
+def test_poses_come_from_another_process(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As on a real hand: servos at a port, a tracker that sends to a UDP port."""
+    where = UdpTracker("0")
+    where.close()  # free again: the run takes it
+    q = np.array([np.cos(0.2), 0.0, 0.0, np.sin(0.2)])
+    sender = subprocess.Popen([sys.executable, "-c", _SENDER, str(where.port)])
+    try:
+        with Emulator(15) as emulator:
+            words = ["run", "hold", "--port", emulator.port, "--object", "cube", "--seconds", "0.5"]
+            words += ["--object-pose", "tracked", "--tracker", str(where.port)]
+            words += ["--patience", "10", "--json", "--out", str(tmp_path)]
+            assert main(["hardware", *words]) == 0
+    finally:
+        sender.kill()
+        sender.wait()
+    assert json.loads(capsys.readouterr().out)["figures"]["rotation_rad"] == 0.0
+    ticks = read_log(tmp_path / "run.mcap").ticks
+    np.testing.assert_allclose(ticks["tracked_position"], [[0.0, 0.01, 0.13]] * len(ticks["time"]))
+    np.testing.assert_allclose(ticks["tracked_quaternion"], [q] * len(ticks["time"]), atol=1e-5)
+
+
+_SENDER = """
+import socket, sys, time
+import numpy as np
+from hardware.tracking import pose_line
+line = pose_line(np.array([0.0, 0.01, 0.13]), np.array([np.cos(0.2), 0, 0, np.sin(0.2)]), 0.03)
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+    while True:
+        sender.sendto(line, ("127.0.0.1", int(sys.argv[1])))
+        time.sleep(0.02)
+"""
+
+
+def test_a_tracker_that_says_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with Emulator(15) as emulator:
+        words = ["run", "hold", "--port", emulator.port, "--object", "cube"]
+        words += ["--object-pose", "tracked", "--tracker", "0", "--out", str(tmp_path)]
+        assert main(["hardware", *words]) == 2
+        assert "the tracker has told no pose for 2 s; expected" in capsys.readouterr().err
+        assert not any(emulator.state()["torque_on"])
 
 
 @real_time

@@ -26,7 +26,7 @@ def twenty(hand: dexctl.HandModel, control_period: float) -> dexctl.Controller:
 
 @pytest.mark.usefixtures("learned")
 def test_one_that_needs_the_objects_pose(dex5: dexctl.HandModel) -> None:
-    wanted = "regulated:coordinated needs the object's pose, .* expected --object-pose touch, or"
+    wanted = "regulated:coordinated needs the object's pose, .* expected --object-pose touch or"
     with pytest.raises(InvalidInput, match=wanted):
         make_controller("regulated:coordinated", dex5)
     assert make_controller("regulated:coordinated", dex5, tracked=True).tracks
@@ -120,6 +120,30 @@ def test_a_real_hand_has_what_was_tracked_by_touch(tmp_path: Path) -> None:
     figures = figures_of_merit(read_log(tmp_path / "a.mcap"))
     assert figures["rotation_rad"] == pytest.approx(0.3)
     assert "object_lost_at_s" not in figures
+
+
+def test_a_real_hand_has_what_a_tracker_told(tmp_path: Path) -> None:
+    """And not what the controller makes of it."""
+    pytest.importorskip("mcap", reason="needs the extra 'hardware'")
+    other = {"tracked_position": [0.0] * 3, "tracked_quaternion": [1.0, 0.0, 0.0, 0.0]}
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for i in range(4):
+            log.write(
+                "/tick",
+                {
+                    "time": 0.5 * i,
+                    "state": "run",
+                    **{key: [0.0, 0.0] for key in ("q", "q_target", "torque")},
+                    "fresh": [True, True],
+                    "in_contact": [True],
+                    "contact_force": [2.0],
+                    "lateness": 0.0,
+                    "tracked_position": [0.0, 0.0, 0.13],
+                    "tracked_quaternion": [np.cos(0.1 * i), 0.0, 0.0, np.sin(0.1 * i)],
+                    "diagnostics": other,
+                },
+            )
+    assert figures_of_merit(read_log(tmp_path / "a.mcap"))["rotation_rad"] == pytest.approx(0.6)
 
 
 def test_a_busy_machine_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:

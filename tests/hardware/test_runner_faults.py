@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +24,7 @@ from hardware.log import LogWriter, read_log
 from hardware.run_report import RunReport
 from hardware.runner import Runner
 from hardware.state_machine import Event, State, Torque
+from hardware.tracking import MOST_AGE, TrackedPose
 
 # Real-time loops: on a machine that others keep busy their deadlines pass, as they should.
 pytestmark = pytest.mark.slow
@@ -245,6 +247,41 @@ def test_tactile_silence_matters_to_those_who_need_it(
     report = run(bus, dex5, {}, needs_tactile=False)
     # without fingertips there is nothing that could have fallen silent
     assert report.outcome is State.IDLE and report.counts[Event.TACTILE_STALE] == 0
+
+
+class Tracker:
+    """Tells the same pose until it falls silent."""
+
+    def __init__(self) -> None:
+        self.silent_since: float | None = None
+
+    def read(self) -> TrackedPose:
+        since = self.silent_since
+        time_ = time.monotonic() if since is None else since
+        stale = time.monotonic() - time_ > MOST_AGE
+        return TrackedPose(np.array([0.0, 0.0, 0.13]), np.array([1.0, 0, 0, 0]), time_, stale)
+
+    def silence(self) -> None:
+        self.silent_since = time.monotonic()
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_tracker_that_falls_silent(
+    emulator: Emulator, bus: Bus, dex5: dexctl.HandModel, tmp_path: Path
+) -> None:
+    tracker = Tracker()
+    hand = ServoHand(bus, dex5, limits=PATIENT, tracker=tracker)
+    with LogWriter(tmp_path / "a.mcap") as log:
+        controller = Saboteur(dex5, {10: tracker.silence})
+        runner = Runner(hand, controller, needs_tactile=False, log=log)
+        report = runner.run(2.0)
+    assert (report.outcome, report.cause) == (State.HOLD, Event.POSE_STALE)
+    assert re.match(r"3\d\d ms old; does the tracker see it\?", detail(report, Event.POSE_STALE))
+    ticks = read_log(tmp_path / "a.mcap").ticks
+    assert ticks["tracked_position"].shape == (len(ticks["time"]), 3)
+    assert ticks["tracked_age"][5] < 0.1 and ticks["tracked_age"].max() > MOST_AGE
 
 
 def test_ctrl_c_holds_then_releases(emulator: Emulator, bus: Bus, dex5: dexctl.HandModel) -> None:

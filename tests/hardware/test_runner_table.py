@@ -25,6 +25,7 @@ ROWS = [
     (R, Event.HEALTH_LASTS, H, FREEZE, Torque.ON, H),
     (R, Event.OVERRUNS, H, FREEZE, Torque.ON, H),
     (R, Event.TACTILE_NEEDED, H, FREEZE, Torque.ON, H),
+    (R, Event.POSE_STALE, H, FREEZE, Torque.ON, H),
     (R, Event.UNPLUGGED, F, Action.RELEASE_BLIND, Torque.UNKNOWN, F),
 ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.gait import CoordinatedGait
+from dexctl.rotations import rotation_vector
 from dexctl.sim import SceneConfig, Sensing, Simulation
 from dexctl.sim.sensing import Sensor
 from dexctl.state import GraspState
@@ -184,3 +186,53 @@ def test_gear_friction_holds_joints_back() -> None:
             sim.step()
             moved.append(np.abs(sim.read().q - start.q).max())
     assert moved[1] < 0.3 * moved[0]
+
+
+def test_a_tracker_has_noise_of_its_own() -> None:
+    count = 4000
+    told = sensor(count, tracker_position_noise=3e-3, tracker_rotation_noise=0.05)(states(count))
+    assert told.object_position is not None
+    assert np.std(told.object_position) == pytest.approx(3e-3, rel=0.03)
+    assert told.object_quaternion is not None
+    turned = rotation_vector(told.object_quaternion)
+    assert np.std(turned) == pytest.approx(0.05, rel=0.03)
+    np.testing.assert_allclose(np.linalg.norm(told.object_quaternion, axis=-1), 1.0)
+    np.testing.assert_array_equal(told.q, states(count).q)
+    np.testing.assert_array_equal(told.contact_position, states(count).contact_position)
+
+
+def test_a_tracker_is_later_than_the_rest() -> None:
+    late = sensor(2, sensor_latency=PERIOD, tracker_latency=2 * PERIOD)
+    for i in range(6):
+        place = np.full((2, 3), float(i))
+        now = replace(states(2, PERIOD * i, q=float(i)), object_position=place)
+        told = late(now, np.ones(2, bool) if i == 0 else None)
+        assert told.q[0, 0] == max(i - 1, 0)
+        assert told.object_position is not None
+        assert told.object_position[0, 0] == max(i - 3, 0)
+
+
+def test_a_late_tracker_is_saved_and_restored() -> None:
+    def told(one: Sensor, i: int) -> GraspState:
+        return one(
+            replace(states(1, PERIOD * i), object_position=np.full((1, 3), float(i))),
+            np.ones(1, bool) if i == 0 else None,
+        )
+
+    settings: dict[str, Any] = {"tracker_latency": 2 * PERIOD, "tracker_position_noise": 0.01}
+    one = sensor(1, **settings)
+    for i in range(4):
+        told(one, i)
+    saved = one.save()
+    after = [told(one, i).object_position for i in range(4, 8)]
+    other = sensor(1, seed=5, **settings)
+    other.restore(saved)
+    np.testing.assert_array_equal([told(other, i).object_position for i in range(4, 8)], after)
+
+
+@pytest.mark.parametrize("pose", ["touch", "odometry", "unknown"])
+@pytest.mark.parametrize("name", ["tracker_position_noise", "tracker_latency"])
+def test_a_tracker_needs_a_tracked_object(name: str, pose: Any) -> None:
+    given: dict[str, Any] = {name: 0.1}
+    with pytest.raises(InvalidInput, match=f"{name} is 0.1 and object_pose '{pose}'; expected"):
+        Sensing(object_pose=pose, **given)

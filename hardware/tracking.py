@@ -1,0 +1,172 @@
+"""Where a tracker says that the object is: a small interface, and a source that listens on UDP.
+
+A tracker, such as a camera and whatever makes poses of its pictures, is a process of its own, in
+any language: its work must not stall the bus. It sends a datagram for each pose, as text in SI
+units::
+
+    O,<age>,<px>,<py>,<pz>,<qw>,<qx>,<qy>,<qz>
+
+``p`` is the centre of the object's shape and ``q`` its orientation as a unit quaternion, both in
+the world (palm) frame of the hand model; ``age`` is how old the picture is when the datagram is
+sent. Datagrams of any other kind are counted and left out. `pose_line` writes one.
+
+A pose that is too old is marked stale, and a run that goes by it is held.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from dexctl.exceptions import InvalidInput
+from dexctl.state import Floats
+
+MOST_AGE = 0.3
+"""How old a pose may be: at 1 rad/s the object has turned by as many radians since [s]."""
+LOCAL = "127.0.0.1"
+_LONGEST = 1024  # bytes of a datagram that are looked at
+
+
+class TrackedPose(NamedTuple):
+    """Where the object is.
+
+    Attributes:
+        position: centre of its shape, world frame, ``(3,)`` [m].
+        quaternion: its orientation, wxyz, unit, ``(4,)``.
+        time: when it was there, on the clock of ``time.monotonic`` [s].
+        stale: whether that is too long ago to be used.
+    """
+
+    position: Floats
+    quaternion: Floats
+    time: float
+    stale: bool
+
+
+class PoseSource(Protocol):
+    """Anything that knows where the object is."""
+
+    def read(self) -> TrackedPose | None:
+        """The newest that is known; returns at once. None: nothing has been known so far."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device."""
+        ...
+
+
+def pose_line(position: Floats, quaternion: Floats, age: float = 0.0) -> bytes:
+    """The datagram of a pose; what `parse_pose` reads."""
+    return ",".join(["O", *(f"{value:.6g}" for value in (age, *position, *quaternion))]).encode()
+
+
+def parse_pose(line: bytes) -> tuple[float, Floats, Floats] | None:
+    """(age, position ``(3,)``, quaternion ``(4,)``) of a datagram; None if it is not right."""
+    kind, *fields = line.strip().split(b",")
+    if kind != b"O" or len(fields) != 8:
+        return None
+    try:
+        numbers = np.array([float(field) for field in fields])
+    except ValueError:
+        return None
+    length = float(np.linalg.norm(numbers[4:]))
+    if not np.isfinite(numbers).all() or numbers[0] < 0 or abs(length - 1.0) > 0.05:
+        return None
+    return float(numbers[0]), numbers[1:4], numbers[4:] / length
+
+
+class UdpTracker:
+    """Poses that a tracker sends to a UDP port.
+
+    Datagrams are taken as they come, in :meth:`read`; nothing waits and there is no thread. So it
+    is to be called more often than every ``most_age``: a datagram found after a longer pause may
+    have waited since the last call, and counts as that old.
+
+    Args:
+        where: port to listen on, or HOST:PORT; without a host only this machine is heard.
+        most_age: older poses are stale [s].
+
+    Attributes:
+        bad: datagrams that could not be used.
+        port: that is listened on.
+
+    Raises:
+        InvalidInput: no such place, or somebody else listens there.
+    """
+
+    def __init__(self, where: str, *, most_age: float = MOST_AGE) -> None:
+        place = parse_place(where)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(place)
+        except OSError as error:
+            self._socket.close()
+            said = f"cannot listen for a tracker at {where}: {error.strerror}"
+            raise InvalidInput(said) from None
+        self.port = int(self._socket.getsockname()[1])
+        self._most_age = most_age
+        self._asked = time.monotonic()  # when it was read last
+        self._newest: tuple[float, Floats, Floats] | None = None  # of which time, and the pose
+        self.bad = 0
+
+    def read(self) -> TrackedPose | None:
+        """The newest pose that has come; None: none has."""
+        now, before = time.monotonic(), self._asked
+        self._asked = now
+        arrived = now if now - before <= self._most_age else before
+        while True:
+            try:
+                found = parse_pose(self._socket.recv(_LONGEST))
+            except OSError:  # nothing more is there
+                break
+            if found is None:
+                self.bad += 1
+                continue
+            taken = arrived - found[0]
+            if self._newest is None or taken >= self._newest[0]:
+                self._newest = taken, found[1], found[2]
+        if self._newest is None:
+            return None
+        taken, position, quaternion = self._newest
+        return TrackedPose(position, quaternion, taken, now - taken > self._most_age)
+
+    def close(self) -> None:
+        """Close the port."""
+        self._socket.close()
+
+
+def parse_place(where: str) -> tuple[str, int]:
+    """Host and port of ``[HOST:]PORT``.
+
+    Raises:
+        InvalidInput: it is none.
+    """
+    host, _, port = where.rpartition(":")
+    if not (port.isascii() and port.isdigit() and 0 <= int(port) <= 65535):
+        raise InvalidInput(f"the tracker's port is {where!r}; expected [HOST:]PORT, 0 to 65535")
+    return host or LOCAL, int(port)
+
+
+def wait_for_pose(source: PoseSource, seconds: float) -> TrackedPose:
+    """The first pose that is not stale.
+
+    Raises:
+        InvalidInput: none has come for ``seconds``.
+    """
+    end = time.monotonic() + seconds
+    while True:
+        pose = source.read()
+        if pose is not None and not pose.stale:
+            return pose
+        if time.monotonic() >= end:
+            bad = getattr(source, "bad", 0)
+            said = f", and {bad} datagrams that are no pose" if bad else ""
+            raise InvalidInput(
+                f"the tracker has told no pose for {seconds:g} s{said}; expected one at least "
+                f"every {MOST_AGE:g} s"
+            )
+        time.sleep(0.005)
