@@ -146,7 +146,10 @@ def everything(results: Sequence[dict[str, Any]], sweep: dict[str, Any] | None =
 def _reached(results: Iterable[dict[str, Any]]) -> str:
     met = [figure["met"] for result in results for figure in result["figures"]]
     goals, missed = sum(one is not None for one in met), met.count(False)
-    return f"Of {goals} goals {goals - missed} are reached and **{missed} are not**."
+    return (
+        f"Of {goals} goals, the same for every controller and policy, {goals - missed} are reached "
+        f"and **{missed} are not**."
+    )
 
 
 def _measured_on(results: Iterable[dict[str, Any]]) -> str:

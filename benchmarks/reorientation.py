@@ -41,6 +41,8 @@ FLOOR = 0.8
 """Share of first goals that a controller has to reach at least."""
 GOAL = {"cube": (0.96, 7.0), "uniform": (0.96, 7.0)}
 """What is asked for: that share, and the median time to the first goal [s]."""
+IN_A_ROW = 20
+"""Goals one after the other that are asked for, in the median episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,6 +207,15 @@ def goal_figures(row: dict[str, Any], asked: Asked) -> list[Figure]:
         share, most = GOAL[asked.what]
         good = reached["value"] >= share and time["value"] <= most
         found.append(Figure(what, measured, f"{100 * share:.0f} % in {most:g} s", good))
+        row_of = row["goals_in_a_row_median"]["value"]
+        found.append(
+            Figure(
+                what.replace("first goals reached", "goals reached one after the other"),
+                f"median {row_of:g}",
+                f"{IN_A_ROW} in a row",
+                bool(row_of >= IN_A_ROW),
+            )
+        )
     return found
 
 
