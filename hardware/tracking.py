@@ -170,3 +170,46 @@ def wait_for_pose(source: PoseSource, seconds: float) -> TrackedPose:
                 f"every {MOST_AGE:g} s"
             )
         time.sleep(0.005)
+
+
+class Heard(NamedTuple):
+    """What a tracker has told while somebody listened.
+
+    Attributes:
+        poses: how many.
+        rate: poses a second [Hz].
+        age: of a pose when it was found, median [s].
+        position: of the last pose, ``(3,)`` [m]; NaN where there was none.
+        spread: standard deviation of the coordinates ``(3,)`` [m], of an object at rest its noise.
+    """
+
+    poses: int
+    rate: float
+    age: float
+    position: Floats
+    spread: Floats
+
+
+def listen(source: PoseSource, seconds: float) -> Heard:
+    """What ``source`` tells for a while."""
+    begin = time.monotonic()
+    ages: list[float] = []
+    places: list[Floats] = []
+    last = -np.inf
+    while (now := time.monotonic()) < begin + seconds:
+        pose = source.read()
+        if pose is not None and pose.time > last:
+            last = pose.time
+            ages.append(now - pose.time)
+            places.append(pose.position)
+        time.sleep(0.001)
+    if not places:
+        nothing = np.full(3, np.nan)
+        return Heard(0, 0.0, np.nan, nothing, nothing)
+    return Heard(
+        len(places),
+        len(places) / seconds,
+        float(np.median(ages)),
+        places[-1],
+        np.std(places, axis=0),
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,10 @@ from hardware.models import BY_NUMBER, MODELS, XM430_W210, ServoModel, known_num
 from hardware.registers import OperatingMode, describe_hardware_error
 from hardware.state_machine import Torque
 from hardware.ticker import Interrupts, spread
+from hardware.tracking import MOST_AGE, UdpTracker, listen
 
 _CYCLES = 200
+_LISTENED = 2.0  # to a tracker [s]
 _MOVE = 0.12  # [rad]
 _MOVE_SECONDS = 0.5
 _SLOW = 0.005  # a cycle of more than this suggests a latency timer or return delay [s]
@@ -38,7 +41,8 @@ _HINT = "slow bus: set the USB adapter's latency timer to 1 ms and the servos' r
 class Check(HandOptions):
     """Look at every servo; with --move, move one joint at a time.
 
-    Port, speed, IDs and models are found by asking where they are not given.
+    Port, speed, IDs and models are found by asking where they are not given. With --tracker, what
+    it tells of the object for 2 s.
     Nothing moves and no torque is on unless --move is given. Exit code 1 where something is wrong.
     """
 
@@ -46,6 +50,9 @@ class Check(HandOptions):
     """Move each joint by 0.12 rad and back, so that a wrong joint map shows."""
     reboot: int | None = None
     """Restart this servo first: clears a hardware error once its cause is gone."""
+    tracker: str | None = None
+    """Where a tracker sends the object's pose: UDP port of this machine, or HOST:PORT to listen
+    on."""
     out: Path | None = None
     """Folder for check.json."""
     json: Switch = False
@@ -55,10 +62,20 @@ class Check(HandOptions):
         self.check()
         if self.reboot is not None and not 0 <= self.reboot <= 252:
             raise InvalidInput(f"--reboot is {self.reboot}; expected an ID from 0 to 252")
+        if self.tracker is not None and self.emulate:
+            raise InvalidInput(
+                f"--emulate and --tracker {self.tracker} are given; expected one of them"
+            )
         folder = None if self.out is None else make_folder(self.out)
-        found = self.discover()
-        with self.open(self.limits(), 0.02) as session:
+        with ExitStack() as stack:
+            poses = None if self.tracker is None else UdpTracker(self.tracker)
+            if poses is not None:
+                stack.callback(poses.close)
+            found = self.discover()
+            session = stack.enter_context(self.open(self.limits(), 0.02))
             look = _Look(session.hand)
+            if poses is not None:
+                look.at_tracker(poses)
             if found is not None:
                 look.at_chain(found)
             if self.reboot is not None:
@@ -92,6 +109,29 @@ class _Look:
     fast: bool | None = None
     moved: list[dict[str, Any]] = field(default_factory=list)
     torque: str = ""
+    tracker: dict[str, Any] | None = None
+
+    def at_tracker(self, poses: UdpTracker) -> None:
+        """What a tracker tells."""
+        heard = listen(poses, _LISTENED)
+        self.tracker = {
+            "poses": heard.poses,
+            "rate_hz": heard.rate,
+            "age_s": heard.age,
+            "position_m": heard.position.tolist(),
+            "spread_m": heard.spread.tolist(),
+            "no_poses": poses.bad,
+        }
+        if not heard.poses:
+            wrong = f", and {poses.bad} datagrams that are no pose" if poses.bad else ""
+            self.problems.append(f"the tracker has told no pose for {_LISTENED:g} s{wrong}")
+        elif heard.age + 1.0 / heard.rate > MOST_AGE:
+            self.problems.append(
+                f"the tracker's poses are {1e3 * heard.age:.0f} ms old and come {heard.rate:.1f} "
+                f"times a second; expected one that is at most {MOST_AGE:g} s old at any time"
+            )
+        elif poses.bad:
+            self.problems.append(f"the tracker sent {poses.bad} datagrams that are no pose")
 
     def at_chain(self, found: Found) -> None:
         """Servos on the line that the hand has no joint for."""
@@ -269,6 +309,7 @@ class _Look:
             "cycle_s": self.cycle,
             "fast_sync_read": self.fast,
             "moved": self.moved,
+            "tracker": self.tracker,
             "torque": self.torque,
             "problems": self.problems,
         }
@@ -305,6 +346,17 @@ class _Look:
                 f"read and write of all: {1e3 * self.cycle['p50']:.2f} ms median, "
                 f"{1e3 * self.cycle['p99']:.2f} ms p99 (fast sync read: "
                 f"{'yes' if self.fast else 'no'})"
+            )
+        if self.tracker is not None and self.tracker["poses"]:
+            told = self.tracker
+            place, spread = (
+                ", ".join(f"{1e3 * value:.1f}" for value in told[name])
+                for name in ("position_m", "spread_m")
+            )
+            console.print(
+                f"tracker: {told['rate_hz']:.0f} poses a second, {1e3 * told['age_s']:.0f} ms old; "
+                f"object at {place} mm, standard deviation {spread} mm",
+                soft_wrap=True,
             )
         for moved in self.moved:
             console.print(

@@ -370,6 +370,27 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
 """
 
 
+def test_what_a_tracker_tells_is_checked(capsys: pytest.CaptureFixture[str]) -> None:
+    where = UdpTracker("0")
+    where.close()
+    sender = subprocess.Popen([sys.executable, "-c", _SENDER, str(where.port)])
+    words = ["check", "--patience", "10", "--json", "--tracker", str(where.port)]
+    try:
+        with Emulator(15) as emulator:
+            assert main(["hardware", *words, "--port", emulator.port]) == 0
+            told = json.loads(capsys.readouterr().out)["tracker"]
+            sender.kill()
+            sender.wait()
+            assert main(["hardware", *words, "--port", emulator.port]) == 1
+            problems = json.loads(capsys.readouterr().out)["problems"]
+    finally:
+        sender.kill()
+        sender.wait()
+    assert told["position_m"] == [0.0, 0.01, 0.13] and max(told["spread_m"]) < 1e-12
+    assert 5 < told["rate_hz"] < 60 and 0.03 <= told["age_s"] < 0.2 and told["no_poses"] == 0
+    assert problems == ["the tracker has told no pose for 2 s"]
+
+
 def test_a_tracker_that_says_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Emulator(15) as emulator:
         words = ["run", "hold", "--port", emulator.port, "--object", "cube"]
