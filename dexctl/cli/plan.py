@@ -160,8 +160,7 @@ class Plan:
         check_ends(self.nodes, seconds, until, self.bounds, self.goals)
         expansion.check(scene, np.array(axis))
         try:
-            first = 1 if before is None else len(before)  # the root
-            with _Bar(self.nodes, seconds, until, first) as show:
+            with _Bar(self.nodes, seconds, until) as show:
                 if self.ray is not None:
                     return grow_on_cluster(
                         self.scene, expansion, self.ray, jobs, progress=show, resume=self.resume,
@@ -371,15 +370,14 @@ def _print(tree: Tree, found: dict[str, Any]) -> None:
     results().print(shown)
 
 
-def time_left(now: Progress, first: int, nodes: int | None, seconds: float | None) -> str:
+def time_left(now: Progress, nodes: int | None, seconds: float | None) -> str:
     """How long it will take: nodes come at a pace; how soon the rotation does, nobody knows.
 
     Args:
         now: how far it is.
-        first: nodes that were there when the tree began to grow, or to grow on.
         nodes, seconds: that it is to have, and to take; None: no end by them.
     """
-    ends, grown = [], now.nodes - first
+    ends, grown = [], now.nodes - now.first
     if nodes is not None and grown > 0:
         ends.append(f"about {max(nodes - now.nodes, 0) * now.seconds / grown:.0f} s more")
     if seconds is not None:
@@ -390,10 +388,8 @@ def time_left(now: Progress, first: int, nodes: int | None, seconds: float | Non
 class _Bar:
     """What is shown while a tree grows: what has come of it, time left, and what is refused."""
 
-    def __init__(
-        self, nodes: int | None, seconds: float | None, until: float | None, first: int
-    ) -> None:
-        self._ends, self._first = (nodes, seconds, until), first
+    def __init__(self, nodes: int | None, seconds: float | None, until: float | None) -> None:
+        self._ends = nodes, seconds, until
         self._bar = _Noted(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=20),
@@ -420,11 +416,11 @@ class _Bar:
             )
             if end
         ]
-        rate = (now.nodes - self._first) / max(now.seconds, 1e-9)
+        rate = (now.nodes - now.first) / max(now.seconds, 1e-9)
         if self._task is None:
             self._task = self._bar.add_task("", total=1.0, left="")
         self._bar.note = refusals(now)
-        left = time_left(now, self._first, nodes, seconds)
+        left = time_left(now, nodes, seconds)
         wanted = "" if until is None else f" of {until:.2f}"
         of = "" if nodes is None else f" of {nodes}"
         self._bar.update(
@@ -448,10 +444,11 @@ class _Noted(Bar):
 
 def refusals(now: Progress) -> str:
     """Which share of the candidates is accepted, and why most of the others are not."""
-    tried = now.nodes - 1 + sum(now.refused.values())
+    accepted = max(now.nodes - 1, 0)  # not even the root is there at first
+    tried = accepted + sum(now.refused.values())
     most = sorted(((n, why) for why, n in now.refused.items() if n), reverse=True)[:_WHY]
     if not tried:
         return ""
-    said = f"{100 * (now.nodes - 1) / tried:.0f} % of the candidates accepted"
+    said = f"{100 * accepted / tried:.0f} % of the candidates accepted"
     shares = ", ".join(f"{why} {100 * n / tried:.0f} %" for n, why in most)
     return said + (shares and f"; refused for {shares}")

@@ -44,6 +44,7 @@ class Progress(NamedTuple):
         seconds: since `grow` began [s].
         refused: why candidates were not taken in, and how many.
         physics_steps: that were simulated.
+        first: how many nodes there were when it began, or began to go on.
     """
 
     nodes: int
@@ -52,6 +53,7 @@ class Progress(NamedTuple):
     seconds: float
     refused: dict[str, int]
     physics_steps: int
+    first: int
 
 
 def grow(
@@ -141,7 +143,7 @@ def grow(
         tree = _begin(problem, expansion, goals, expander.action_names, seed, scene_config, given)
         if path is not None and given is None:  # what is stopped at once can be resumed too
             tree.save(path)
-        before = tree.header.expansions
+        before, first = tree.header.expansions, len(tree)
         search = Nearest(len(scene.hand.joint_names) + 6)
         search.add(problem.metric.of(problem.frame, tree.nodes))
         limits = (np.asarray(scene.lower), np.asarray(scene.upper))
@@ -186,6 +188,7 @@ def grow(
                         perf_counter() - start,
                         header.refused,
                         header.physics_steps,
+                        first,
                     )
                 )
                 if told is True:

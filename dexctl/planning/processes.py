@@ -294,18 +294,22 @@ def _work(
 
 
 def summed(shown: Iterable[Progress | None], start: float) -> Progress:
-    """The progress of all trees, None where there is none yet, since ``start``."""
+    """The progress of all trees, None where there is none yet, since ``start``.
+
+    Nodes are those of the tree that they become: they share the root.
+    """
     every = [one for one in shown if one is not None]
     refused = Counter[str]()
     for one in every:
         refused.update(one.refused)
     return Progress(
-        nodes=sum(one.nodes for one in every),
+        nodes=sum(one.nodes - 1 for one in every) + bool(every),
         expansions=sum(one.expansions for one in every),
         rotation=max((one.rotation for one in every), default=0.0),
         seconds=time.perf_counter() - start,
         refused=dict(refused),
         physics_steps=sum(one.physics_steps for one in every),
+        first=sum(one.first - 1 for one in every) + bool(every),
     )
 
 

@@ -228,10 +228,11 @@ def test_a_full_turn_has_some_minutes_where_nobody_says(
 
 def test_the_line_below_the_bar_says_why_candidates_are_refused() -> None:
     refused = {"bounds": 3, "reach": 0, "clearance": 40, "closure": 30, "residual": 7}
-    assert refusals(Progress(21, 9, 0.5, 1.0, refused, 0)) == (
+    assert refusals(Progress(21, 9, 0.5, 1.0, refused, 0, 1)) == (
         "20 % of the candidates accepted; refused for clearance 40 %, closure 30 %, residual 7 %"
     )
-    assert refusals(Progress(1, 0, 0.0, 1.0, {}, 0)) == ""
+    for nodes in (0, 1):
+        assert refusals(Progress(nodes, 0, 0.0, 1.0, {}, 0, nodes)) == ""
 
 
 def test_what_fails_leaves_no_folder_and_one_line(
@@ -374,9 +375,12 @@ def test_starts_from_a_tree_and_from_samples(
 def test_time_left_is_that_of_what_grew_since() -> None:
     """Not of what a tree that is gone on with had before."""
     now = Progress(
-        nodes=300, expansions=900, rotation=1.0, seconds=10.0, refused={}, physics_steps=0
-    )
-    assert time_left(now, 100, 700, None) == "about 20 s more"
-    assert time_left(now, 100, 700, 15.0) == "about 20 s more, at most 5 s more"
-    assert time_left(now, 300, 700, None) == ""  # it has not begun
-    assert time_left(now, 100, None, 60.0) == "at most 50 s more"
+        nodes=300, expansions=900, rotation=1.0, seconds=10.0, refused={}, physics_steps=0,
+        first=100,
+    )  # fmt: skip
+    assert time_left(now, 700, None) == "about 20 s more"
+    assert time_left(now, 700, 15.0) == "about 20 s more, at most 5 s more"
+    assert time_left(now._replace(first=300), 700, None) == ""  # it has not begun
+    assert time_left(now, None, 60.0) == "at most 50 s more"
+
+

@@ -80,7 +80,7 @@ def test_no_cluster(tmp_path: Path) -> None:
 
 
 def test_the_board_hands_each_tree_on_once() -> None:
-    board, now = Board(2), Progress(3, 4, 0.5, 1.0, {"bounds": 2}, 6)
+    board, now = Board(2), Progress(3, 4, 0.5, 1.0, {"bounds": 2}, 6, 1)
     assert not board.tell(1, now, b"tree")
     shown, files = board.look()
     assert shown == [None, now] and files == {1: b"tree"}

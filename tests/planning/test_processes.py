@@ -54,8 +54,13 @@ def test_what_was_killed_is_gone_on_with(tmp_path: Path) -> None:
     assert part_files(path) == parts
     with pytest.raises(InvalidInput, match=r"is not there yet: .* of 2 processes; .* --resume"):
         Tree.load(tmp_path)
-    tree = grow_in_processes(config, expansion, 2, path=path, nodes=16, seed=5, resume=True)
+    seen = list[Progress]()
+    tree = grow_in_processes(
+        config, expansion, 2, path=path, nodes=16, seed=5, resume=True, progress=seen.append
+    )
     assert len(tree) >= 16 > len(first)
+    # those of the file are not among what has been grown since, which the rate is of
+    assert seen[-1].first == len(kept) and seen[-1].nodes == len(tree)
     again = Tree.load(parts[1])
     np.testing.assert_array_equal(again.nodes.q[: len(kept)], kept.nodes.q)
     whole = [
@@ -133,13 +138,14 @@ def test_what_goes_wrong_in_a_process_is_said(tmp_path: Path) -> None:
 
 def test_what_processes_show_is_summed() -> None:
     shown = _Shown(multiprocessing.get_context("spawn"), 3)
-    shown.show(0, Progress(5, 8, 0.5, 1.0, {"bounds": 2, "contacts": 1}, 60))
-    shown.show(2, Progress(3, 4, 0.7, 2.0, {"bounds": 3}, 40))
+    shown.show(0, Progress(5, 8, 0.5, 1.0, {"bounds": 2, "contacts": 1}, 60, 4))
+    shown.show(2, Progress(3, 4, 0.7, 2.0, {"bounds": 3}, 40, 1))
     found = summed(shown.look(), perf_counter())
-    assert found._replace(seconds=0.0) == (8, 12, 0.7, 0.0, {"bounds": 5, "contacts": 1}, 100)
-    shown.show(0, Progress(6, 9, 0.5, 1.0, {str(why): why for why in range(999)}, 60))
+    assert found._replace(seconds=0.0) == (7, 12, 0.7, 0.0, {"bounds": 5, "contacts": 1}, 100, 4)
+    shown.show(0, Progress(6, 9, 0.5, 1.0, {str(why): why for why in range(999)}, 60, 4))
     assert summed(shown.look(), 0.0).refused == {"bounds": 3}
-    assert summed([None], 0.0).nodes == 0
+    none = summed([None, None], 0.0)
+    assert none.nodes == none.first == 0
 
 
 def test_growing_stops_where_progress_says_so(cylinder: Scene) -> None:
