@@ -304,6 +304,7 @@ class Show:
         check_viz("dexctl plan show")
         source = self.tree.expanduser()
         tree = Tree.load(source)
+        scene = tree.build_scene()
         folder = make_folder(self.out or (source if source.is_dir() else source.parent))
         found = describe(tree)
         (path,) = tree.paths(1, goal_quaternion=self.goal)
@@ -314,7 +315,7 @@ class Show:
         written = [folder / "tree.png"]
         with progress(notes()) as bar:
             task = bar.add_task("drawing the best path", total=len(path))
-            film(tree.header.build_scene(), tree, path, folder / "path.mp4",
+            film(scene, tree, path, folder / "path.mp4",
                  lambda done: bar.update(task, completed=done))  # fmt: skip
         written.append(folder / "path.mp4")
         notes().print(f"written: {' and '.join(map(str, written))}")

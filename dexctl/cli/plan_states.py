@@ -53,7 +53,7 @@ class States:
         tree = Tree.load(self.tree)
         states = path_states(
             tree, self.count, goals=self.goals, weights=self.weights,
-            scene=tree.header.build_scene(), threads=self.threads, seed=self.seed,
+            scene=tree.build_scene(), threads=self.threads, seed=self.seed,
         )  # fmt: skip
         states.save(path)
         return _said(states, path, self.json, {"command": "plan states"})

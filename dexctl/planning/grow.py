@@ -250,6 +250,7 @@ def _begin(
         return Tree(header, problem.root)
     tree.header.check_same(header)
     tree.header.check_settings(settings)
+    tree.check_hand(problem.scene.hand)
     if not np.allclose(tree.nodes.q[0], problem.root.q[0], atol=1e-6):
         raise InvalidInput("the tree has another root than the scene's settled grasp")
     tree.header.scene = header.scene or tree.header.scene

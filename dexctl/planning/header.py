@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -26,14 +27,49 @@ _SAME = (
     "expansion", "action_names",
 )  # fmt: skip
 
-_LIST, _NUMBER = (list, tuple), (int, float)
-_KINDS: dict[str, type | tuple[type, ...]] = {
-    "hand": str, "joint_names": _LIST, "object": str, "object_width": _NUMBER,
-    "object_mass": _NUMBER, "gravity": _LIST, "axis": _LIST, "expansion": str,
-    "action_names": _LIST, "settings": dict, "versions": dict, "seed": int,
-    "scene": (dict, type(None)), "expansions": int, "refused": dict, "physics_steps": int,
-    "seconds": _NUMBER,
+
+def _text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _texts(value: object) -> bool:
+    return isinstance(value, (list, tuple)) and all(map(_text, value))
+
+
+def _amount(value: object) -> bool:
+    known = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return known and 0 <= value < math.inf
+
+
+def _whole(value: object) -> bool:
+    return isinstance(value, int) and _amount(value)
+
+
+def _counts(value: object) -> bool:
+    return isinstance(value, dict) and all(map(_whole, value.values()))
+
+
+def _vector(value: object) -> bool:
+    numbers = isinstance(value, (list, tuple)) and len(value) == 3
+    return numbers and all(isinstance(one, (int, float)) and math.isfinite(one) for one in value)
+
+
+def _direction(value: Any) -> bool:
+    return _vector(value) and abs(math.hypot(*value) - 1.0) < 1e-6
+
+
+def _mapping(value: object) -> bool:
+    return isinstance(value, dict)
+
+
+_RIGHT: dict[str, Callable[[Any], bool]] = {
+    "hand": _text, "joint_names": _texts, "object": _text, "object_width": _amount,
+    "object_mass": _amount, "gravity": _vector, "axis": _direction, "expansion": _text,
+    "action_names": _texts, "settings": _mapping, "versions": _mapping, "seed": _whole,
+    "scene": lambda value: value is None or _mapping(value), "expansions": _whole,
+    "refused": _counts, "physics_steps": _whole, "seconds": _amount,
 }  # fmt: skip
+"""What each entry may be."""
 
 
 @dataclass(kw_only=True)
@@ -105,19 +141,29 @@ class TreeHeader:
         )
 
     def build_scene(self) -> Scene:
-        """The scene that the tree is of: as it was configured, else by what the header says."""
+        """The scene that the tree is of: as it was configured, else by what the header says.
+
+        Raises:
+            InvalidInput, UnknownName: it cannot be built, or is of another hand or object.
+        """
         from dexctl.sim import Scene
 
-        if self.scene is not None:
-            (scene,) = from_plain(SceneConfig, self.scene).scenes()
-            return scene
-        return Scene.build(
-            self.hand,
-            self.object,
-            self.gravity,
-            object_mass=self.object_mass,
-            object_size=self.object_width or None,
-        )
+        if self.scene is None:
+            return Scene.build(
+                self.hand,
+                self.object,
+                self.gravity,
+                object_mass=self.object_mass,
+                object_size=self.object_width or None,
+            )
+        scenes = from_plain(SceneConfig, self.scene).scenes()
+        found = [(scene.hand.name, scene.object) for scene in scenes]
+        if found != [(self.hand, self.object)]:
+            raise InvalidInput(
+                f"the tree is of the hand {self.hand!r} and the object {self.object!r}, the scene "
+                f"in its header of {found}; expected the same"
+            )
+        return scenes[0]
 
     def to_plain(self) -> dict[str, Any]:
         """Plain values, for a file."""
@@ -128,7 +174,8 @@ class TreeHeader:
         """From what `to_plain` gave.
 
         Raises:
-            InvalidInput: it is of another format, or something is missing or of another kind.
+            InvalidInput: it is of another format, something is missing or what it cannot be.
+            UnknownName: no such object.
         """
         if not isinstance(values, Mapping) or values.get("format") != FORMAT:
             found = values.get("format") if isinstance(values, Mapping) else None
@@ -138,10 +185,12 @@ class TreeHeader:
         if set(rest) != known:
             odd = ", ".join(sorted(set(rest) ^ known))
             raise InvalidInput(f"its header has other entries than expected: {odd}")
-        for name, kinds in _KINDS.items():
-            value = rest[name]
-            if not isinstance(value, kinds) or isinstance(value, bool):
-                raise InvalidInput(f"{name} of its header is {shown(value)}, which it cannot be")
+        for name, right in _RIGHT.items():
+            if not right(rest[name]):
+                raise InvalidInput(
+                    f"{name} of its header is {shown(rest[name])}, which it cannot be"
+                )
+        SceneConfig(object=(rest["object"],)).check_objects("its header")
         for name in ("joint_names", "gravity", "axis", "action_names"):
             rest[name] = tuple(rest[name])
         return cls(**rest)

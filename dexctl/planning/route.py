@@ -13,7 +13,6 @@ from dexctl.rotations import inverse, rotate, shortest
 from dexctl.settings import from_plain
 from dexctl.state import Bools, Floats
 from dexctl.switch.landing import Landing
-from dexctl.validation import shown
 
 Indices = NDArray[np.intp]
 _MOVED = 0.004  # a finger that is put down nearer than this to where it was is not moved [m]
@@ -54,11 +53,7 @@ class Route:
         every: bool = False,
     ) -> None:
         header = tree.header
-        if header.joint_names != tuple(hand.joint_names):
-            raise InvalidInput(
-                f"the tree is of the hand {header.hand!r} with joints "
-                f"{shown(', '.join(header.joint_names))}; the hand {hand.name!r} has others"
-            )
+        tree.check_hand(hand)
         if "finger" not in header.action_names:
             raise InvalidInput(
                 f"the actions of a tree by {header.expansion} name no finger; expected one by "
@@ -80,7 +75,7 @@ class Route:
         )
         from dexctl.sim.shapes import Shape
 
-        shape = Shape.of_body(header.build_scene().model)
+        shape = Shape.of_body(tree.build_scene().model)
         self._inward = -shape.nearest(self.tip)[1]
         self.finger = self._fingers(hand)
         settings = header.settings.get("metric")

@@ -23,6 +23,9 @@ from dexctl.validation import numbers, shown, shown_numbers, unit_quaternions
 if TYPE_CHECKING:
     import networkx
 
+    from dexctl.hand import HandModel
+    from dexctl.sim import Scene
+
 Indices = NDArray[np.intp]
 TREE = "tree.npz"
 """Name of the file in a folder."""
@@ -128,6 +131,30 @@ class Tree:
         """What position, tilt and rotation are measured from."""
         root = Nodes(**{name: self._column(name)[:1] for name in NODE_FIELDS})
         return Frame.of(self.header.axis, root)
+
+    def check_hand(self, hand: HandModel) -> None:
+        """Raise InvalidInput where the tree is not of this hand, its joints and its fingers."""
+        header, fingers = self.header, self._columns["in_contact"].shape[1]
+        if header.joint_names != tuple(hand.joint_names):
+            raise InvalidInput(
+                f"the tree is of the hand {header.hand!r} with joints "
+                f"{shown(', '.join(header.joint_names))}; the hand {hand.name!r} has others"
+            )
+        if fingers != hand.n_fingers:
+            raise InvalidInput(
+                f"the tree has contacts of {fingers} fingers; expected {hand.n_fingers}, as the "
+                f"hand {hand.name!r} has"
+            )
+
+    def build_scene(self) -> Scene:
+        """The scene that the tree is of, see `TreeHeader.build_scene`.
+
+        Raises:
+            InvalidInput, UnknownName: it cannot be built, or the tree does not fit it.
+        """
+        scene = self.header.build_scene()
+        self.check_hand(scene.hand)
+        return scene
 
     def states(self, index: ArrayLike | None = None) -> GraspStates:
         """Nodes as grasp states, at rest, with parents: all of them, or those of ``index``.

@@ -382,5 +382,3 @@ def test_time_left_is_that_of_what_grew_since() -> None:
     assert time_left(now, 700, 15.0) == "about 20 s more, at most 5 s more"
     assert time_left(now._replace(first=300), 700, None) == ""  # it has not begun
     assert time_left(now, None, 60.0) == "at most 50 s more"
-
-

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning import Kinematic, Nodes, Tree, TreeHeader, grow, path_states
-from dexctl.sim import Scene
+from dexctl.settings import to_plain
+from dexctl.sim import Scene, SceneConfig
 from dexctl.sim.grasp_states import GraspStates
 
 
@@ -172,6 +173,19 @@ def test_files_that_are_no_trees(tmp_path: Path) -> None:
         ("meta", changed_header(expansions="3"), "expansions of its header is '3', which"),
         ("meta", changed_header(seed=True), "seed of its header is True, which"),
         ("meta", changed_header(axis="z"), "axis of its header is 'z', which"),
+        ("meta", changed_header(axis=[0, 0, 0]), r"axis of its header is \[0, 0, 0\], which"),
+        ("meta", changed_header(axis=["a", "b", "c"]), r"axis of its header is \['a', 'b', 'c'\]"),
+        ("meta", changed_header(gravity=[0, 0]), r"gravity of its header is \[0, 0\], which"),
+        ("meta", changed_header(gravity=[0, 0, np.nan]), r"gravity of its header is \[0, 0, nan\]"),
+        ("meta", changed_header(joint_names=[1, 2]), r"joint_names of its header is \[1, 2\]"),
+        (
+            "meta",
+            changed_header(action_names=["a", 2]),
+            r"action_names of its header is \['a', 2\]",
+        ),
+        ("meta", changed_header(refused={"a": "b"}), "refused of its header is {'a': 'b'}, which"),
+        ("meta", changed_header(object_mass=-1), "object_mass of its header is -1, which"),
+        ("meta", changed_header(object="banana"), "unknown object in its header 'banana'; known: "),
     ):
         forked().save(path)
         with np.load(path) as stored:
@@ -180,6 +194,28 @@ def test_files_that_are_no_trees(tmp_path: Path) -> None:
         np.savez(path, **values)
         with pytest.raises(InvalidInput, match=why) as caught:
             Tree.load(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_tree_that_does_not_fit_its_hand(small: Tree, tmp_path: Path) -> None:
+    """A file says neither how many fingers a hand has nor whether there is one of that name."""
+    path = tmp_path / "tree.npz"
+    scene = to_plain(SceneConfig(object=("cylinder",)))
+    for cut, changes, why in (
+        (4, {}, "contacts of 4 fingers; expected 5, as the hand 'dex5' has"),
+        (5, {"hand": "nohand"}, "unknown hand 'nohand'"),
+        (5, {"hand": "nohand", "scene": scene}, "of the hand 'nohand' .* of .*'dex5'"),
+        (5, {"object": "sphere", "scene": scene}, "the object 'sphere', the scene in its header"),
+        (5, {"joint_names": ["a", *small.header.joint_names[1:]]}, "hand 'dex5' has others"),
+    ):
+        small.save(path)
+        with np.load(path) as stored:
+            values = {key: stored[key] for key in stored.files}
+        values["in_contact"] = values["in_contact"][:, :cut]
+        values["meta"] = np.asarray(json.dumps({**json.loads(str(values["meta"])), **changes}))
+        np.savez(path, **values)
+        with pytest.raises((InvalidInput, UnknownName), match=why) as caught:
+            Tree.load(path).build_scene()
         assert "\n" not in str(caught.value)
 
 
