@@ -86,10 +86,17 @@ class SimulatedExpander:
         put(sim, parents)
         driven = self._drive(sim, parents, rng)
         tried = children(problem.frame, sim, parents, driven.seconds)
-        within = problem.bounds.hold(problem.frame, tried) & ~driven.lost & ~sim.diverged
+        broken = sim.diverged
+        within = problem.bounds.hold(problem.frame, tried) | broken  # its last state says nothing
+        lost = within & (driven.lost | broken)
+        within &= ~lost
         touching = tried.in_contact.sum(axis=1) >= problem.stability.min_contacts
         hopeful = within & touching
-        refused = Counter(bounds=int((~within).sum()), contacts=int((within & ~touching).sum()))
+        refused = Counter(
+            bounds=int((~within & ~lost).sum()),
+            lost=int(lost.sum()),
+            contacts=int((within & ~touching).sum()),
+        )
         points = problem.metric.of(problem.frame, tried).reshape(*shape, -1)
         distance = np.linalg.norm(points - targets[:, None], axis=-1)
         distance = np.where(hopeful.reshape(shape), distance, np.inf)

@@ -28,7 +28,9 @@ from dexctl.planning import (
     holding,
     sample_grasps,
 )
+from dexctl.planning.expansion import Problem
 from dexctl.planning.nodes import put
+from dexctl.planning.simulated import Driven, SimulatedExpander
 from dexctl.settings import to_plain
 from dexctl.sim import BatchSimulator, Scene, SceneConfig, rotation_about
 from dexctl.sim.sensing import Sensing
@@ -92,6 +94,32 @@ def test_lazy_and_literal_find_the_same_nodes(cylinder: Scene) -> None:
     ]
     same(*trees)
     assert trees[0].header.physics_steps < trees[1].header.physics_steps
+
+
+class _GivenUp:
+    """Nothing is done: three candidates are given up, one is carried away too, one breaks down."""
+
+    action_names = ("nothing",)
+
+    def __call__(self, sim: BatchSimulator, nodes: Nodes, rng: np.random.Generator) -> Driven:
+        position, broken = nodes.object_position.copy(), np.arange(len(nodes)) == 5
+        position[0, 2] += 2 * Bounds().displacement
+        put(sim, replace(nodes, object_position=position))
+        put(sim, replace(nodes, object_velocity=np.full((len(nodes), 6), 1e30)), broken)
+        sim.step(broken)
+        lost = np.arange(len(nodes)) < 4
+        return Driven(np.zeros((len(nodes), 1)), np.zeros(len(nodes)), lost, 0)
+
+
+def test_candidates_that_are_given_up_are_not_out_of_bounds(cylinder: Scene, small: Tree) -> None:
+    root = small.nodes.take([0])
+    problem = Problem(scene=cylinder, root=root, frame=small.frame, threads=1)
+    expander = SimulatedExpander(problem, _GivenUp(), batch=8, candidates=1, lazy=True)
+    nodes, rng = small.nodes.take(np.zeros(8, int)), np.random.default_rng(0)
+    found = expander(nodes, problem.metric.of(problem.frame, nodes), rng)
+    expander.close()
+    assert {why: n for why, n in found.refused.items() if n} == {"bounds": 1, "lost": 4}
+    assert found.source.tolist() == [4, 6, 7]
 
 
 def test_macros_turn_the_object_further(cylinder: Scene) -> None:
