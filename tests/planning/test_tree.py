@@ -254,6 +254,13 @@ def test_trees_of_several_processes_become_one() -> None:
         Tree.merge([a, Tree(header(), nodes([0.0, 0.0]).take([1]))])
     with pytest.raises(InvalidInput, match="got no trees"):
         Tree.merge([])
+    kept, loose = (
+        Tree(header(settings={"expansion": {"margin": margin, "step": 0.2}}), nodes([0.0]))
+        for margin in (0.006, 0.0)
+    )
+    assert len(Tree.merge([kept, kept])) == 1
+    with pytest.raises(InvalidInput, match=r"settings: expansion\.margin was 0\.006, is 0\.0; exp"):
+        Tree.merge([kept, loose])
 
 
 def test_a_tree_is_a_graph() -> None:
