@@ -40,14 +40,14 @@ from dexctl.planning import (
 )
 from dexctl.planning.arguments import check_ends
 from dexctl.planning.grow import stuck
-from dexctl.planning.parts import part_files
+from dexctl.planning.parts import part_files, part_seed
 from dexctl.planning.scene_settings import check_used
 from dexctl.planning.tree import TREE
 from dexctl.settings import NESTED, Quaternion, Vector
 from dexctl.sim import Scene, SceneConfig
 from dexctl.state import Floats
 from dexctl.statistics import wilson
-from dexctl.validation import shown_numbers, unit_axis
+from dexctl.validation import check_seed, shown_numbers, unit_axis
 
 FIGURES = "plan.json"
 _SECONDS = 600.0  # a tree that is to turn so far has this long where nothing says how long [s]
@@ -80,8 +80,8 @@ class Plan:
     seconds: float | None = None
     """Stop after this time [s]; none: 600 s where a rotation is wanted and no number of nodes, 60 s
     for goal orientations alone."""
-    seed: int = 0
-    """Of the random numbers."""
+    seed: int | None = None
+    """Of the random numbers; none: 0, or that of the tree that is gone on with."""
     out: Path = Path("out/plan")
     """Folder for tree.npz and plan.json."""
     jobs: int | None = None
@@ -154,7 +154,7 @@ class Plan:
         before, jobs = self._tree(path), self._jobs()
         ends: dict[str, Any] = {
             "nodes": self.nodes, "seconds": seconds, "until_rotation": until, "axis": axis,
-            "seed": self.seed, "metric": self.metric, "bounds": self.bounds,
+            "seed": self._seed(path, before), "metric": self.metric, "bounds": self.bounds,
             "stability": self.stability, "goals": self.goals, "path": path,
         }  # fmt: skip
         check_ends(self.nodes, seconds, until, self.bounds, self.goals)
@@ -245,9 +245,27 @@ class Plan:
 
         return usable_cores()
 
+    def _seed(self, path: Path, before: Tree | None) -> int:
+        """Of the random numbers of a new tree, or of the one that is gone on with."""
+        parts = enumerate(part_files(path) if self.resume else ())
+        known = {i: Tree.load(part).header.seed for i, part in parts if part.exists()}
+        if before is not None:
+            known = {0: before.header.seed}
+        elif known and 0 not in known and path.exists():
+            known[0] = Tree.load(path).header.seed
+        if self.seed is None:
+            return known.get(0, 0)
+        seed = check_seed(self.seed, 0)
+        if any(part_seed(seed, i) != own for i, own in known.items()):
+            raise InvalidInput(
+                f"--seed is {seed}; the tree in {self.out} was grown with "
+                f"{known.get(0, 'another one')}, expected the same to go on with it"
+            )
+        return seed
+
     def _held(self, scene: Scene, tree: Tree) -> dict[str, Any]:
         """How many of a tree grown without physics hold in simulation, of a sample."""
-        rng = np.random.default_rng(self.seed)
+        rng = np.random.default_rng(tree.header.seed)
         rows = rng.choice(len(tree), min(_CHECKED, len(tree)), replace=False)
         held = holding(scene, tree, rows, threads=self.scene.threads)
         found = wilson(int(held.sum()), len(held))

@@ -8,14 +8,17 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dexctl.cli import main
-from dexctl.cli.plan import refusals, time_left
+from dexctl.cli.plan import Plan, refusals, time_left
+from dexctl.exceptions import InvalidInput
 from dexctl.planning import Progress, Tree, grow, sample_grasps
+from dexctl.planning.parts import part_file, part_seed
 from dexctl.sim import GraspStates, SceneConfig, Simulation
 
 SMALL = ["--expand", "random", "--random.batch", "8", "--object", "cylinder", "--threads", "1"]
@@ -144,6 +147,36 @@ def test_a_tree_without_physics_is_checked_in_simulation(
     found = json.loads(capsys.readouterr().out)
     assert found["physics_steps"] == 0 and found["nodes"] >= 200
     assert found["holds"]["of"] >= 200 and found["holds"]["share"] > 0.9
+
+
+def test_a_seed_goes_on_with_its_tree(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was passed over: what was asked for was not what grew on."""
+    whole = (folder / "tree.npz").read_bytes()
+    line = ["plan", *SMALL, "--nodes", "5", "--resume", "--json", "--out"]
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "tree.npz").write_bytes(whole)
+    assert main([*line, str(tmp_path / "one"), "--seed", "4"]) == 2
+    said = capsys.readouterr().err
+    assert "--seed is 4; the tree in" in said and "was grown with 3, expected the same" in said
+    for more in ([], ["--seed", "3"]):
+        assert main([*line, str(tmp_path / "one"), *more]) == 0
+        assert json.loads(capsys.readouterr().out)["seed"] == 3
+    (tmp_path / "two").mkdir()
+    for number in (0, 1):
+        tree = Tree.load(folder)
+        tree.header.seed = part_seed(3, number)
+        tree.save(part_file(tmp_path / "two" / "tree.npz", number))
+    command = Plan(out=tmp_path / "two", resume=True)
+    path = tmp_path / "two" / "tree.npz"
+    assert command._seed(path, None) == 3
+    for other in ("3", "another one"):
+        assert replace(command, seed=3)._seed(path, None) == 3
+        for seed in (4, 0):
+            with pytest.raises(InvalidInput, match=f"--seed is {seed}; .* with {other}, expected"):
+                replace(command, seed=seed)._seed(path, None)
+        part_file(path, 0).unlink(missing_ok=True)  # of a run that was killed
 
 
 def test_goals_are_reached_or_it_says_which_is_not(
