@@ -39,8 +39,14 @@ def simulation(
     except SettleFailure as failure:
         failure.add_note("`dexctl check-grasp --out DIR` says what was tried, and draws it")
         raise
-    for note in scene_of(found).notes:
+    scene = scene_of(found)
+    for note in scene.notes:
         notes().print(note, style="dim")
+    if found.starts is not None and not config.randomisation.draws_gravity:
+        from dexctl.planning.starts import other_gravity
+
+        if remark := other_gravity(found.starts, scene.gravity):
+            notes().print(f"dexctl: {remark}")
     return found
 
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
 from dexctl.planning.holding import holding
 from dexctl.planning.tree import Tree
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Floats
-from dexctl.validation import check_name, check_seed
+from dexctl.validation import check_name, check_seed, check_vector, shown_numbers
 
 if TYPE_CHECKING:
     from dexctl.sim import Scene
@@ -24,6 +25,7 @@ Goals = Literal["greatest", "even"]
 Weights = Literal["rotation", "equal"]
 GOALS: tuple[Goals, ...] = ("greatest", "even")
 WEIGHTS: tuple[Weights, ...] = ("rotation", "equal")
+_SAME_GRAVITY = 0.5  # [m/s^2]; 3 degrees
 _BIN = 0.1  # rotations that count as one where they are to be even [rad]
 
 
@@ -77,6 +79,40 @@ def path_states(
     about = {"tree": json.loads(found.meta), "goals": goals, "weights": weights, "tried": tried}
     weight = _rarity(tree.rotation[rows]) if weights == "rotation" else None
     return replace(found, weight=weight, meta=json.dumps(about))
+
+
+def other_gravity(states: GraspStates, gravity: ArrayLike) -> str | None:
+    """What to know where states were planned under another gravity than they are to begin in.
+
+    Args:
+        states: whose ``meta`` says it, where they are of a tree, its paths or `sample_grasps`.
+        gravity: of the scene, ``(3,)`` [m/s^2].
+    """
+    given = np.asarray(gravity, float)
+    for own in _gravities(states.meta):
+        if np.linalg.norm(given - own) > _SAME_GRAVITY:
+            return (
+                f"the starts were planned under gravity {shown_numbers(own + 0.0)} m/s²; "
+                f"this is {shown_numbers(given + 0.0)}"  # no -0
+            )
+    return None
+
+
+def _gravities(meta: str) -> list[Floats]:
+    """Of the trees and samples that states are from; none where others wrote what they liked."""
+    try:
+        left, found = [json.loads(meta)], list[Floats]()
+    except (ValueError, RecursionError):
+        return []
+    while left:
+        about = left.pop()
+        if isinstance(about, list):
+            left += about
+        elif isinstance(about, dict):
+            left += [about.get(name) for name in ("tree", "parts", "meta")]
+            with suppress(InvalidInput):
+                found.append(check_vector("gravity", about.get("gravity"), 3))
+    return found
 
 
 def _ends(rotation: Floats, goals: Goals, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
+from dexctl.planning.starts import other_gravity
 from dexctl.sim import Simulation
+from dexctl.sim.checks import gravity_vector
 from learning.starts.base import Remark
 
 _SECONDS = 0.5
@@ -21,11 +23,13 @@ def check_starts(simulation: Simulation, remark: Remark) -> None:
 
     Args:
         simulation: the environments, with states to start from.
-        remark: called where a tenth or more do not hold.
+        remark: called where a tenth or more do not hold, and where they were planned under another
+            gravity, which may well hold them all the same.
 
     Raises:
         InvalidInput: most of them do not hold.
     """
+    _remark_on_gravity(simulation, remark)
     held, said = _held(simulation)
     if held < _FEWEST * simulation.num_envs:
         raise InvalidInput(f"{said}; expected grasps of this very scene, as `dexctl plan` finds")
@@ -35,9 +39,19 @@ def check_starts(simulation: Simulation, remark: Remark) -> None:
 
 def remark_on_starts(simulation: Simulation, remark: Remark) -> None:
     """As `check_starts`, where none is refused: those of a policy's gait may be caught by it."""
+    _remark_on_gravity(simulation, remark)
     _, said = _held(simulation)
     if said:
         remark(said)
+
+
+def _remark_on_gravity(simulation: Simulation, remark: Remark) -> None:
+    """Say where the states were planned under another gravity than the scene's, if that is one."""
+    states, config = simulation.starts, simulation.config
+    if states is not None and not config.randomisation.draws_gravity:
+        said = other_gravity(states, gravity_vector(config.gravity))
+        if said:
+            remark(said)
 
 
 def _held(simulation: Simulation) -> tuple[int, str]:

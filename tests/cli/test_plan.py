@@ -16,6 +16,7 @@ import pytest
 
 from dexctl.cli import main
 from dexctl.cli.plan import Plan, refusals, time_left
+from dexctl.cli.trials import simulation
 from dexctl.exceptions import InvalidInput
 from dexctl.planning import Progress, Tree, grow, sample_grasps
 from dexctl.planning.parts import part_file, part_seed
@@ -297,7 +298,7 @@ def test_what_several_processes_left_can_be_deleted(tmp_path: Path) -> None:
     assert len(Tree.load(tmp_path)) >= 20 > before
 
 
-def test_episodes_start_from_a_tree(folder: Path) -> None:
+def test_episodes_start_from_a_tree(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tree = Tree.load(folder / "tree.npz")
     config = SceneConfig(
         object=("cylinder",), initial_states=folder / "tree.npz", disturbance=0.0, threads=1
@@ -307,6 +308,9 @@ def test_episodes_start_from_a_tree(folder: Path) -> None:
         assert start.object_quaternion is not None
         for row in start.q:
             assert np.abs(tree.nodes.q - row).max(axis=1).min() < 1e-12
+    for gravity, told in (("up", False), ("down", True)):
+        simulation(replace(config, gravity=gravity), 1, 0).close()
+        assert ("planned under gravity (0, 0, -9.81)" in capsys.readouterr().err) == told
 
 
 def test_what_plan_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

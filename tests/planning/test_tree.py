@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning import Kinematic, Nodes, Tree, TreeHeader, grow, path_states
+from dexctl.planning.starts import other_gravity
 from dexctl.settings import to_plain
 from dexctl.sim import Scene, SceneConfig
 from dexctl.sim.grasp_states import GraspStates
@@ -330,6 +331,20 @@ def test_states_that_do_not_hold_are_left_out(cylinder: Scene) -> None:
     assert json.loads(fewer.meta)["tried"] >= 30
     with pytest.raises(InvalidInput, match=r"the tree is Tree\('dex5', 'cylinder'"):
         path_states(tree, 30, scene=Scene.build("dex5", "cylinder", "down"))
+
+
+def test_states_of_another_gravity_are_told() -> None:
+    up, down = (0.0, 0.0, -9.81), np.array([0.0, 0.0, 9.81])
+    tree = forked()
+    for states in (tree.states(), path_states(tree, 5)):
+        assert other_gravity(states, up) is None
+        assert other_gravity(states, down) == (
+            "the starts were planned under gravity (0, 0, -9.81) m/s²; this is (0, 0, 9.81)"
+        )
+    mixed = GraspStates.concatenate([tree.states(), replace(path_states(tree, 5), meta="mine")])
+    assert other_gravity(mixed, up) is None and other_gravity(mixed, down) is not None
+    for meta in ("", "mine", "[1]", '{"gravity": "up", "parts": {"meta": 1}}', "[" * 100_000):
+        assert other_gravity(replace(tree.states(), meta=meta), down) is None
 
 
 def test_what_is_refused() -> None:

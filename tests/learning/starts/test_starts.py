@@ -291,6 +291,13 @@ def test_starts_that_do_not_hold_are_one_line(said: list[str]) -> None:
     (line,) = said
     assert line in str(e.value)
     said.clear()
+    planned = replace(good, meta=json.dumps({"gravity": [0.0, 0.0, 9.81]}))
+    made.simulation.start_from(planned)  # they hold all the same
+    for check in (check_starts, remark_on_starts):
+        check(made.simulation, said.append)
+    told = "the starts were planned under gravity (0, 0, 9.81) m/s²; this is (0, 0, -9.81)"
+    assert said == [told, told]
+    said.clear()
     few = replace(
         loose, q_target=np.where(np.arange(8)[:, None] < 2, loose.q_target, good.q_target)
     )
