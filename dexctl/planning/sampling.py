@@ -43,7 +43,8 @@ class GraspSampling:
     """Where objects and fingertips are put before the simulation settles them."""
 
     place: str = "fingertips"
-    """What is drawn of the hand: the places of its fingertips, or, naively, its joints."""
+    """What is drawn of the hand: the places of its fingertips, or, naively, its joints, which also
+    serves hands whose joints have not a servo each."""
     displacement: float = 0.01
     """The object lies this far from where the settled grasp holds it [m]."""
     tilt: float = 0.3
@@ -135,7 +136,8 @@ def sample_grasps(
 
     Raises:
         InvalidInput: no such number of grasps, seed, time or settings, a check that asks for more
-            contacts than are sampled, ``path`` cannot be written; or none was found at all.
+            contacts than are sampled, fingertips that cannot be placed since joints have not a
+            servo each, ``path`` cannot be written; or none was found at all.
         SimulationError: the object does not stay in the hand.
     """
     from dexctl.sim import BatchSimulator, Scene
@@ -239,7 +241,12 @@ class _Draws:
 
     def __init__(self, scene: Scene, frame: Frame, root: Nodes, config: GraspSampling) -> None:
         self._scene, self._frame, self._root, self._config = scene, frame, root, config
-        self._model = ContactModel(scene, friction=0.5, margin=0.0)
+        if config.place == "joints":  # of any hand: nothing has to be reached
+            return
+        try:
+            self._model = ContactModel(scene, friction=0.5, margin=0.0)
+        except InvalidInput as error:
+            raise InvalidInput(f"{error}; expected sampling.place joints, or such a hand") from None
         geometry = self._model.geometry
         self._tip = geometry.poses(root.q).centres(geometry.tips)
         flat = split(self._tip[0] - frame.position, _PALM)[1]

@@ -12,6 +12,7 @@ import pytest
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning import Frame, GraspSampling, Metric, SampledGrasps, Stability, sample_grasps
 from dexctl.planning.nodes import put, root_of
+from dexctl.planning.sampling import _Draws
 from dexctl.rotations import from_rotation_vector, multiply, rotation_vector
 from dexctl.sim import BatchSimulator, GraspStates, Scene
 
@@ -60,6 +61,23 @@ def test_fingertips_round_the_object_are_quicker_than_random_joints(l_shape: Sce
         except InvalidInput:
             shares.append(0.0)
     assert shares[0] > 5 * shares[1]
+
+
+def test_random_joints_need_no_contact_model(
+    l_shape: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So there are grasps of hands whose joints have not a servo each."""
+
+    def refused(*_: object, **__: object) -> None:
+        raise InvalidInput("shadow: the joint 'j' follows another")
+
+    monkeypatch.setattr("dexctl.planning.sampling.ContactModel", refused)
+    root = root_of(l_shape)
+    frame, rng = Frame.of("z", root), np.random.default_rng(0)
+    nodes, reached = _Draws(l_shape, frame, root, GraspSampling(place="joints", batch=4))(rng)
+    assert len(nodes) == 4 and reached.all()
+    with pytest.raises(InvalidInput, match="'j' follows another; expected sampling.place joints"):
+        _Draws(l_shape, frame, root, GraspSampling())
 
 
 def test_states_are_a_file_that_episodes_start_from(sampled: SampledGrasps, tmp_path: Path) -> None:
