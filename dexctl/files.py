@@ -8,11 +8,15 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dexctl.exceptions import InvalidInput
+
+if TYPE_CHECKING:
+    import numpy as np
 
 DAMAGED = (
     EOFError,
@@ -32,11 +36,21 @@ DAMAGED = (
 """All that zipfile, numpy's reader of headers and the JSON reader raise for what is not theirs."""
 
 
-@contextmanager
-def reading(what: str) -> Iterator[None]:
-    """Raise InvalidInput in one line, which says ``what`` it is, where a ``.npz`` is damaged."""
+def read_arrays(path: Path, what: str, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+    """The arrays of a ``.npz`` file; those of ``names`` that there are, None: all.
+
+    Raises:
+        InvalidInput: no such file, none of these, or a damaged one; the message says ``what``.
+    """
+    import numpy as np
+
     try:
-        yield
+        with path.open("rb") as stream:
+            if stream.read(2) != b"PK":  # numpy would take it for a pickle
+                raise ValueError("it is no .npz file")
+        with np.load(path, allow_pickle=False) as stored:
+            wanted = stored.files if names is None else [n for n in names if n in stored]
+            return {name: stored[name] for name in wanted}
     except DAMAGED as error:
         why = " ".join(str(error).split()) or type(error).__name__
         raise InvalidInput(f"{what} cannot be read: {why[:200]}") from None

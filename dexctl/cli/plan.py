@@ -42,9 +42,9 @@ from dexctl.planning.arguments import check_ends
 from dexctl.planning.grow import stuck
 from dexctl.planning.parts import part_files, part_seed
 from dexctl.planning.scene_settings import check_used
-from dexctl.planning.tree import TREE
 from dexctl.settings import NESTED, Quaternion, Vector
 from dexctl.sim import Scene, SceneConfig
+from dexctl.sim.grasp_states import TREE
 from dexctl.state import Floats
 from dexctl.statistics import wilson
 from dexctl.validation import check_seed, shown_numbers, unit_axis

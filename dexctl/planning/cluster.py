@@ -24,9 +24,10 @@ from dexctl.planning.processes import (
     summed,
     what_grew,
 )
-from dexctl.planning.tree import TREE, Tree
+from dexctl.planning.tree import Tree
 from dexctl.settings import absolute
 from dexctl.sim import SceneConfig
+from dexctl.sim.grasp_states import TREE
 from dexctl.validation import check_seed
 
 _TO_STOP = 60.0  # tasks that are told to stop have this long to send what they have [s]

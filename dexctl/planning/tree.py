@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput, MissingExtra
-from dexctl.files import DAMAGED, aside, reading
+from dexctl.files import DAMAGED, aside, read_arrays
 from dexctl.planning.header import TreeHeader
 from dexctl.planning.nodes import NODE_FIELDS, Frame, Nodes
 from dexctl.planning.parts import part_files
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from dexctl.sim import Scene
 
 Indices = NDArray[np.intp]
-TREE = "tree.npz"
-"""Name of the file in a folder."""
 _BEYOND = 0.5  # goals further than this from every node are none of the tree's [rad]
 _COLUMNS = (*NODE_FIELDS, "parent", "action", "expansion")
 
@@ -341,8 +339,7 @@ class Tree:
         Raises:
             InvalidInput: no such file, not a tree, or one that was cut or changed.
         """
-        path = Path(path).expanduser()
-        path = path / TREE if path.is_dir() else path
+        path = states_file(path)
         what = f"tree {str(path)!r}"
         parts = [] if path.exists() else part_files(path)
         if parts:
@@ -350,8 +347,7 @@ class Tree:
                 f"{what} is not there yet: {path.parent} has the trees of {len(parts)} processes; "
                 "the `dexctl plan` that grew them makes one of them with --resume"
             )
-        with reading(what), np.load(path, allow_pickle=False) as stored:
-            values = {name: stored[name] for name in stored.files}
+        values = read_arrays(path, what)
         missing = [name for name in (*_COLUMNS, "meta") if name not in values]
         if missing:
             raise InvalidInput(f"{what} lacks {', '.join(missing)}; it is no tree")

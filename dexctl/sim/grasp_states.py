@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
-from dexctl.files import aside, reading
+from dexctl.files import aside, read_arrays
 from dexctl.hand import HandModel
 from dexctl.state import Floats
 
+TREE = "tree.npz"
+"""What stands for a folder: the tree that was planned into it."""
 _ROWS = ("q", "q_target", "object_position", "object_quaternion", "object")
 _OPTIONAL = ("weight", "parent", "meta")
 
@@ -194,16 +196,15 @@ class GraspStates:
 
     @classmethod
     def load(cls, path: str | Path) -> GraspStates:
-        """Read what `save` wrote.
+        """Read what `save` wrote; of a folder, its tree.npz.
 
         Raises:
             InvalidInput: no such file, or not one of these.
         """
-        names = [field.name for field in fields(cls)]
+        names, path = [field.name for field in fields(cls)], states_file(path)
         what = f"grasp states {str(path)!r}"
-        with reading(what), np.load(path, allow_pickle=False) as stored:
-            missing = [name for name in names if name not in stored and name not in _OPTIONAL]
-            values = {name: stored[name] for name in names if name in stored}
+        values = read_arrays(path, what, names)
+        missing = [name for name in names if name not in values and name not in _OPTIONAL]
         if missing:
             needed = ", ".join(name for name in names if name not in _OPTIONAL)
             raise InvalidInput(f"{what} lacks {', '.join(missing)}; expected {needed}")
@@ -211,6 +212,12 @@ class GraspStates:
             return cls(**values)
         except InvalidInput as error:
             raise InvalidInput(f"{what}: {error}") from None
+
+
+def states_file(path: str | Path) -> Path:
+    """The file of grasp states that is meant: of a folder, its tree.npz."""
+    found = Path(path).expanduser()
+    return found / TREE if found.is_dir() else found
 
 
 def _metas(parts: Sequence[GraspStates]) -> str:

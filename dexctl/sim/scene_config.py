@@ -18,6 +18,7 @@ from dexctl.hand_config import HandConfig
 from dexctl.limits import HandLimits
 from dexctl.settings import FILE_OR_NAME, NESTED, Vector
 from dexctl.sim.checks import gravity_vector
+from dexctl.sim.grasp_states import states_file
 from dexctl.sim.pushes import Push
 from dexctl.sim.randomisation import Randomisation
 from dexctl.sim.sensing import Sensing
@@ -70,7 +71,8 @@ class SceneConfig:
     substeps: int = 10
     """Physics steps in a control step."""
     initial_states: Path | None = None
-    """File of grasp states that episodes start from; none: the settled grasp."""
+    """File of grasp states that episodes start from, or the folder of a tree; none: the settled
+    grasp."""
     disturbance: float = 0.02
     """Standard deviation of the noise on the set-points at the start [rad]."""
     sensing: Annotated[Sensing, NESTED] = field(default_factory=Sensing)
@@ -83,6 +85,8 @@ class SceneConfig:
     def __post_init__(self) -> None:
         if isinstance(self.object, str):
             object.__setattr__(self, "object", (self.object,))
+        if isinstance(self.initial_states, (str, Path)):
+            object.__setattr__(self, "initial_states", states_file(self.initial_states))
         hands.check(self.hand)
         if not self.object:
             raise InvalidInput("object is (); expected a name, or several")

@@ -300,9 +300,8 @@ def test_what_several_processes_left_can_be_deleted(tmp_path: Path) -> None:
 
 def test_episodes_start_from_a_tree(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tree = Tree.load(folder / "tree.npz")
-    config = SceneConfig(
-        object=("cylinder",), initial_states=folder / "tree.npz", disturbance=0.0, threads=1
-    )
+    config = SceneConfig(object=("cylinder",), initial_states=folder, disturbance=0.0, threads=1)
+    assert config.initial_states == folder / "tree.npz" and len(GraspStates.load(folder))
     with Simulation(config, 4, 0) as sim:
         start = sim.state
         assert start.object_quaternion is not None

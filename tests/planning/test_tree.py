@@ -156,6 +156,11 @@ def test_files_that_are_no_trees(tmp_path: Path) -> None:
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InvalidInput, match=r"tree '.*tree.npz' cannot be read"):
         Tree.load(path)
+    path.write_text("hello")  # it was said how to load pickles
+    with pytest.raises(
+        InvalidInput, match=r"tree '.*tree.npz' cannot be read: it is no \.npz file"
+    ):
+        Tree.load(path)
     forked().states().save(path)
     with pytest.raises(InvalidInput, match="lacks .*action.*; it is no tree"):
         Tree.load(path)

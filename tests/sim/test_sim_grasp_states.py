@@ -87,8 +87,8 @@ def test_bad_states(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
     [
         (None, "cannot be read: .*No such file"),
         (b"", "cannot be read"),
-        (b"grasps", "cannot be read"),
-        ("npy", "cannot be read"),
+        (b"grasps", r"cannot be read: it is no \.npz file"),
+        ("npy", r"cannot be read: it is no \.npz file"),
         ("cut", "cannot be read"),
         ("flag", "cannot be read"),  # a bit of the archive's directory says another way to pack
         ("part", "lacks q_target, .*expected hand, q, "),
