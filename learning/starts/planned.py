@@ -71,7 +71,7 @@ class PlannedStarts(Starts):
             states = GraspStates.concatenate([self._made(scene, remark) for scene in scenes])
             states.save(path)
             remark(
-                f"{len(states)} {self._config.start_from} to start from in {path}, made in "
+                f"{len(states)} states to start from in {path}, made in "
                 f"{perf_counter() - start:.0f} s"
             )
         simulation.start_from(states)
@@ -80,7 +80,7 @@ class PlannedStarts(Starts):
         """Those of one object; what was found of what is wanted is remarked on."""
         states, of = self._found(scene)
         wanted = self._config.start_count
-        said = f"{scene.object}: {len(states)} of {wanted} {self._config.start_from} wanted{of}"
+        said = f"{scene.object}: {len(states)} of {wanted} states wanted{of}"
         if len(states) == 1 < wanted:  # every episode would begin alike, as from fixed
             raise InvalidInput(
                 f"{said}; expected several: more --start-seconds, other --tree settings, "

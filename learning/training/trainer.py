@@ -257,7 +257,7 @@ class Trainer:
             and other.hand_digest() == self.env.hand.digest  # folders of earlier versions: None
         ):
             GraspStates.load(other.starts_path).save(self.folder.starts_path)
-            self._remark(f"{self.config.starts.start_from} to start from are those of {begun}")
+            self._remark(f"states to start from are those of {begun}")
 
     def turn(self, pool: ThreadPoolExecutor) -> None:
         """One step of all environments, and the updates that are due."""

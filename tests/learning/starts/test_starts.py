@@ -59,9 +59,9 @@ def test_paths_and_grasps_are_planned_once(tmp_path: Path, said: list[str]) -> N
     assert 30 <= len(states) <= 80
     assert states.weight is not None and states.parent is not None
     assert json.loads(states.meta)["tree"]["seed"] == 3
-    assert said[0].startswith(f"cylinder: {len(states)} of 40 paths wanted, of a tree of ")
+    assert said[0].startswith(f"cylinder: {len(states)} of 40 states wanted, of a tree of ")
     assert said[0].endswith(" rad") and len(said) == 2
-    assert f"{len(states)} paths to start from in {path}" in said[1]
+    assert f"{len(states)} states to start from in {path}" in said[1]
     made.reset()
     for q in made.state.q:
         assert np.abs(states.q - q).max(axis=1).min() < 1e-12
@@ -144,7 +144,7 @@ def test_a_single_state_is_refused(tmp_path: Path, said: list[str]) -> None:
     for seconds, why in (
         (
             0.05,
-            "dodecahedron: 1 of 40 paths wanted, of a tree of 1 nodes that turns it by 0.00 rad",
+            "dodecahedron: 1 of 40 states wanted, of a tree of 1 nodes that turns it by 0.00 rad",
         ),
         (20.0, "no grasp of the dodecahedron was reached from the settled one in 3072 expansions"),
     ):
@@ -259,7 +259,7 @@ def test_a_run_that_begins_with_another_takes_what_was_planned_for_it(
     trainer.take_starts()
     trainer.close()
     assert second.starts_path.exists() == alike
-    assert said == ([f"grasps to start from are those of {first.path}"] if alike else [])
+    assert said == ([f"states to start from are those of {first.path}"] if alike else [])
     if alike:
         assert second.starts_path.read_bytes() == first.starts_path.read_bytes()
         second.starts_path.unlink()
