@@ -15,10 +15,11 @@ command class may have three things more:
 from __future__ import annotations
 
 import io
+import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import redirect_stderr
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stderr
 from types import NoneType
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -50,7 +51,7 @@ def parse(kind: type[C], title: str, arguments: Sequence[str]) -> C | None:
     defaults = defaults_of(kind, words)
     box = io.StringIO()
     try:
-        with redirect_stderr(box):
+        with redirect_stderr(box), nullcontext() if set(words) & set(_HELP) else _wide():
             return tyro.cli(
                 kind,
                 prog=title,
@@ -151,6 +152,20 @@ def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 _TYRO_SAYS = re.compile(r"^Error parsing (\w[\w.-]*: )?")
 _REGISTRY = ConstructorRegistry()
 _REGISTRY.primitive_rule(_optional)
+
+
+@contextmanager
+def _wide() -> Iterator[None]:
+    """No line of a box is broken: tyro does that at commas too, where no space was."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = "9999"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
 
 
 def _one_line(box: str) -> str:

@@ -317,6 +317,7 @@ def test_what_plan_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (["--expand", "magic"], "unknown --expand 'magic'; known: kinematic, controllers, random"),
         (["--object", "cube", "sphere"], "this command takes one object"),
         (["--nodes", "-1"], "nodes is -1; expected a number above 0"),
+        (["--goals.orientations", "1,0,0"], "'1,0,0' is no orientation; expected w,x,y,z (see"),
         (["--until-rotation", "30"], "until_rotation is 30"),
         (["--resume"], "has no tree to go on with; expected"),
         (["--expand", "followed", "--followed.tree", "no.npz", "--jobs", "2"], "no.npz' cannot be"),
