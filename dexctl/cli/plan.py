@@ -15,6 +15,7 @@ from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, Tim
 from rich.text import Text
 
 from dexctl.cli.checks import check_count, make_folder
+from dexctl.cli.interrupts import terminated_like_interrupted
 from dexctl.cli.output import Bar, notes, print_json, progress, results, table, to_json
 from dexctl.cli.parsing import Switch
 from dexctl.cli.plan_states import Sample, States
@@ -63,8 +64,8 @@ class Plan:
     Where nothing says when to stop, it stops after a full turn, ten minutes at the latest, or
     towards goal orientations when all are reached, a minute at the latest; where what was wanted is
     not reached, it fails.
-    The tree in the folder is whole at any moment: after Ctrl-C, --resume goes on with it.
-    `dexctl plan show` films and draws it.
+    The tree in the folder is whole at any moment: after Ctrl-C or SIGTERM, --resume goes on with
+    it. `dexctl plan show` films and draws it.
     """
 
     expand: str = "controllers"
@@ -113,7 +114,7 @@ class Plan:
         until, seconds = self._ends()
         (scene,) = self.scene.scenes()
         folder = make_folder(self.out)
-        with locked(folder):
+        with locked(folder), terminated_like_interrupted():
             tree = self._grown(scene, expansion, axis, folder / TREE, until, seconds)
             found = describe(tree)
             if not tree.header.physics_steps and len(tree) > 1:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from dexctl.cli.checks import check_count
+from dexctl.cli.interrupts import terminated_like_interrupted
 from dexctl.cli.output import notes, print_json, progress, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import InvalidInput
@@ -98,11 +99,12 @@ class Sample:
                 bar.update(task, completed=now)
 
             try:
-                found = sample_grasps(
-                    scene, self.count, self.sampling, axis=unit_axis(self.axis), seed=self.seed,
-                    stability=self.stability, threads=self.scene.threads,
-                    scene_config=self.scene, path=path, progress=show,
-                )  # fmt: skip
+                with terminated_like_interrupted():
+                    found = sample_grasps(
+                        scene, self.count, self.sampling, axis=unit_axis(self.axis),
+                        seed=self.seed, stability=self.stability, threads=self.scene.threads,
+                        scene_config=self.scene, path=path, progress=show,
+                    )  # fmt: skip
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
                     f"interrupted; {so_far} of {self.count} grasps are in {path}"

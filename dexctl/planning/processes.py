@@ -111,9 +111,9 @@ def grow_in_processes(
 
 @contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """What is started in the block never sees Ctrl-C: it is this process that tells it to stop.
+    """What is started in the block sees no Ctrl-C, nor SIGTERM: this process tells it to stop.
 
-    Here it is held back until the block is over; where signals cannot be blocked it is not.
+    Here they are held back until the block is over; where signals cannot be blocked they are not.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -121,17 +121,22 @@ def _no_interrupt() -> Iterator[None]:
     # a blocked signal stays blocked in a process that is started, a handler does not; here only
     # a handler holds it back, since any other thread takes what is blocked in this one alone
     held: list[int] = []
+    both = signal.SIGINT, signal.SIGTERM
     main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number)) if main else None
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    handlers = {
+        each: signal.signal(each, lambda number, _: held.append(number))
+        for each in (both if main else ())
+    }
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, both)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if handler is not None:
-            signal.signal(signal.SIGINT, handler)
-    if held and callable(handler):
-        handler(held[0], None)
+        for each, handler in handlers.items():
+            # None: it was not set from Python
+            signal.signal(each, signal.SIG_DFL if handler is None else handler)
+    if held:
+        signal.raise_signal(held[0])
 
 
 def begin_parts(target: Path, jobs: int, resume: bool) -> list[Path]:

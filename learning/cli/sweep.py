@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from dexctl.cli.checks import check_count, make_folder
+from dexctl.cli.interrupts import terminated_like_interrupted
 from dexctl.cli.output import notes, print_json, results, to_json
 from dexctl.cli.output import table as without_lines
 from dexctl.cli.parsing import Switch
@@ -81,7 +79,7 @@ class Sweep:
 
             total = len(config.runs) + len(config.compared)
             try:
-                with self._pool() as pool, Display(total) as lines, _terminated_like_interrupted():
+                with self._pool() as pool, Display(total) as lines, terminated_like_interrupted():
                     run_all(config, folder, pool, watch=lines.show)
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
@@ -152,18 +150,3 @@ def _failures(found: dict[str, Any], folder: Path) -> int:
             "checkpoint, or from the beginning where the run's folder has been removed",
         )
     return 1 if failed else 0
-
-
-@contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    """SIGTERM stops the runs in order, as Ctrl-C does; entered last, for Ray has a handler too."""
-
-    def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        # None: it was not set from Python
-        signal.signal(signal.SIGTERM, signal.SIG_DFL if before is None else before)

@@ -92,13 +92,23 @@ def test_what_killed_processes_left_is_not_deleted(
     assert len(Tree.load(tmp_path)) >= 12
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_leaves_a_tree_that_loads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    number: signal.Signals,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """And so does SIGTERM, as whoever limits its time sends it."""
+    # a shell lets what it starts in the background ignore it
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
+
     def interrupted(*arguments, progress, **keywords):
         def stop(now):
             progress(now)
-            raise KeyboardInterrupt
+            signal.raise_signal(number)
 
         return grow(*arguments, progress=stop, **keywords)
 
@@ -106,6 +116,7 @@ def test_ctrl_c_leaves_a_tree_that_loads(
     assert main(["plan", *SMALL, "--nodes", "500", "--out", str(tmp_path)]) == 130
     assert "with --resume goes on" in capsys.readouterr().err
     assert len(Tree.load(tmp_path / "tree.npz")) > 1
+    assert not (tmp_path / ".lock").exists()
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked")
@@ -371,8 +382,8 @@ def test_ctrl_c_keeps_sampled_grasps(
     def interrupted(*arguments, progress, **keywords):
         def stop(now):
             progress(now)
-            if now:
-                raise KeyboardInterrupt
+            if now:  # as Ctrl-C, which tests of trees have
+                signal.raise_signal(signal.SIGTERM)
 
         return sample_grasps(*arguments, progress=stop, **keywords)
 
@@ -380,6 +391,7 @@ def test_ctrl_c_keeps_sampled_grasps(
     words = ["--object", "cylinder", "--sampling.batch", "32", "--threads", "1"]
     path = tmp_path / "grasps.npz"
     assert main(["plan", "sample", *words, "--count", "99", "--out", str(path)]) == 130
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     states = GraspStates.load(path)
     assert f"interrupted; {len(states)} of 99 grasps are in {path}" in capsys.readouterr().err
     assert json.loads(states.meta)["scene"]["object"] == ["cylinder"]

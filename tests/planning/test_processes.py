@@ -156,26 +156,27 @@ def test_growing_stops_where_progress_says_so(cylinder: Scene) -> None:
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked")
-def test_another_thread_does_not_let_ctrl_c_through() -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_another_thread_does_not_let_ctrl_c_through(number: signal.Signals) -> None:
     """A signal to the process goes to any thread that has not blocked it."""
     over, ended = threading.Event(), list[bool]()
 
     def interrupted() -> None:
         with _no_interrupt():
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
             _ = over.wait(0.05)
             ended.append(True)
 
     other = threading.Thread(target=over.wait)
     other.start()
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    before = signal.signal(number, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
             interrupted()
-        assert ended and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        _ = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        assert ended and signal.getsignal(number) is signal.default_int_handler
+        _ = signal.signal(number, signal.SIG_IGN)
         interrupted()  # as a shell lets what it starts in the background
     finally:
         over.set()
         other.join()
-        _ = signal.signal(signal.SIGINT, before)
+        _ = signal.signal(number, before)
