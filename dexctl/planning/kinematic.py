@@ -33,7 +33,9 @@ class Kinematic(Expansion):
     """M-RRT: at most one finger is moved to another place, then the object with all that hold it.
 
     No physics: grasps are closures of at least three contacts whose links are clear, and their
-    set-points press. Whether they hold in simulation is for `holding` to say; nearly all do.
+    set-points press. Whether they hold in simulation is for `holding` to say: nearly all do on
+    dex5, the hand of five fingers that the defaults are for; far fewer may on others, such as
+    the Allegro and the LEAP hand, which have four.
     """
 
     step: float = 0.2
