@@ -112,6 +112,17 @@ CONDITIONS: dict[str, Condition] = {
         every=True,
         hold=0.98,
     ),
+    "limits-by-tracker": Condition(
+        "limits, any way up, by a tracker 100 ms late, 3 mm, 0.05 rad",
+        ("limits", "any-gravity"),
+        changes={
+            "tracker_latency": 0.1,
+            "tracker_position_noise": 0.003,
+            "tracker_rotation_noise": 0.05,
+        },
+        every=True,
+        hold=0.98,
+    ),
     "everything": Condition(
         "everything, any way up", ("everything", "any-gravity"), hold=0.98, of_nominal=0.8
     ),
