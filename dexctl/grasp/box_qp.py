@@ -169,7 +169,7 @@ def solve_box_batch(
     solution, sides = np.empty(lower.shape), at.astype(np.int8)
     live, side, low, high = np.arange(count), sides, lower, upper
     movable = upper > lower
-    for step in range(ROUNDS):
+    for step in range(max(ROUNDS, 2 * greedy_rounds(k))):
         if not live.size:
             break
         free = side == _FREE

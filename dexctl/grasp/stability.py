@@ -36,6 +36,9 @@ SHORTEST = 1e-9
 """Least length of all [m]."""
 LEAST_LENGTH = 1e-6
 """Least length, as a share of the distance of the contact farthest from the origin."""
+FEW = 12
+"""Contacts up to which W'W, as large as their number, is worked with; for more of them W is, which
+always has six rows: a hundred take 0.1 s, and the time grows with the cube of their number."""
 MAX_CONDITION = 1e9
 """Squared length of a unit wrench, over the regulariser, above which W'W does not do."""
 
@@ -112,7 +115,7 @@ def stability_forces(
                 numbers("contact_normal", contact_normal, ""),
                 np.asarray(in_contact),
                 numbers("origin", origin, ""),
-                None if length is None else float(length),  # type: ignore[arg-type]
+                None if length is None else number("length", length, SHORTEST, MAX_DISTANCE, ""),
                 regulariser,
                 min_force,
                 None if max_force is None else numbers("max_force", max_force, ""),
@@ -133,7 +136,11 @@ def stability_forces(
     lower = np.minimum(upper, np.where(active, min_force, 0.0))
     if m == 0 or count == 0:
         forces, held = np.zeros((m, count)), np.full(count, -1)
-    elif regulariser and (wrenches * wrenches).sum(axis=0).max() < MAX_CONDITION * regulariser:
+    elif (
+        regulariser
+        and m <= FEW
+        and (wrenches * wrenches).sum(axis=0).max() < MAX_CONDITION * regulariser
+    ):
         gram = (wrenches[:, :, None] * wrenches[:, None]).sum(axis=0)
         forces, held = solve_stability_batch(gram, lower, upper, regulariser, active)
     else:
@@ -199,9 +206,10 @@ def _solve_one(
     min_force: float,
     max_force: Floats | None,
 ) -> StabilitySolution | None:
-    """One hand, in plain Python numbers: a fifth of the time that the arrays would take.
+    """One hand, in plain Python numbers: for few contacts a fifth of the time of the arrays.
 
-    None where an argument is not what it should be, for the general path to say so.
+    None where there are more contacts than a few, or an argument is not what it should be, for the
+    general path to solve it or to say so.
     """
     if position.ndim != 2:
         return None
@@ -217,7 +225,7 @@ def _solve_one(
             return None
         limits = max_force.tolist()
     touching = [i for i, touch in enumerate(in_contact.tolist()) if touch]
-    if not touching:
+    if not 0 < len(touching) <= FEW:
         return None
     points, normals = position.tolist(), normal.tolist()
     ox, oy, oz = origin.tolist()

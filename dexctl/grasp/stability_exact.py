@@ -1,15 +1,16 @@
 """The stability QP from W itself, by singular values: any regulariser, and none.
 
-Slower than the solvers that work on W'W, and loses no digits: what they cannot tell from zero, a
-singular value of 1e-8, this one can.
+For few contacts slower than the solvers that work on W'W, and for many quicker, since W has six
+rows however many there are. It loses no digits: what the others cannot tell from zero, a singular
+value of 1e-8, this one can.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from dexctl.grasp.box_qp import TOLERANCE, Indices, solve_box_batch
-from dexctl.grasp.stability_solver import DUAL, TIE, by_elimination, held_at_one, problems
+from dexctl.grasp.box_qp import TOLERANCE, FreeSolver, Indices, solve_box_batch
+from dexctl.grasp.stability_solver import DUAL, TIE, held_at_one, problems
 from dexctl.state import Bools, Floats
 
 LIMIT = 1e-18
@@ -45,12 +46,10 @@ def solve_exact_batch(
     rho = np.maximum(regulariser / size**2, LIMIT)
     which, column = problems((upper == 1.0) & active)
     low, high = held_at_one(lower, upper, which, column)
-    # Where the answer is nearly, from W'W; and which problems it leaves a chance.
+    # Where the answer is nearly.
     rough = np.maximum(rho, _ROUGH)
-    gram = unit.swapaxes(-1, -2) @ unit
-    hessian = gram + rough[:, None, None] * np.eye(m)
     _, sides = solve_box_batch(
-        by_elimination(hessian, rough, column),
+        _by_wrenches(unit, rough, column),
         np.where(low == high, np.int8(1), np.int8(0)),
         low,
         high,
@@ -96,3 +95,22 @@ def solve_exact_batch(
     place[which, column] = np.arange(which.size)
     forces = solutions[place[best, np.arange(n)]].T
     return np.ascontiguousarray(forces), np.where(best == m, -1, best)
+
+
+def _by_wrenches(unit: Floats, regularisers: Floats, column: Indices) -> FreeSolver:
+    """Solves for free variables from W ``(n, 6, m)``: six unknowns, however many contacts.
+
+    The free forces are 1 - W'y, where rho y is the wrench that is left.
+    """
+    identity = np.eye(unit.shape[-2])
+
+    def solve(rows: Indices, free: Bools, at_bounds: Floats) -> Floats:
+        w, rho = unit[column[rows]], regularisers[column[rows], None]
+        base = np.where(free, 1.0, at_bounds)
+        movable = np.where(free[:, None], w, 0.0)
+        matrix = movable @ movable.swapaxes(-1, -2) + rho[..., None] * identity
+        balance = np.linalg.solve(matrix, w @ base[..., None])
+        relief = (balance.swapaxes(-1, -2) @ w)[:, 0]
+        return np.where(free, base - relief, rho * (relief + base - 1.0))
+
+    return solve

@@ -34,9 +34,9 @@ def _unit(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-def _contacts(rng: np.random.Generator) -> dict[str, Any]:
+def _contacts(rng: np.random.Generator, most: int) -> dict[str, Any]:
     """Contacts round an object, of which some coincide, oppose each other or are far away."""
-    batch, m = BATCHES[rng.integers(len(BATCHES))], int(rng.integers(0, 7))
+    batch, m = BATCHES[rng.integers(len(BATCHES))], int(rng.integers(0, most + 1))
     outward = _unit(rng, (*batch, m, 3))
     position = 0.05 * outward + 0.01 * rng.normal(size=outward.shape)
     normal = _unit(rng, outward.shape) if rng.random() < 0.2 else -outward
@@ -133,7 +133,8 @@ def call(
 ) -> tuple[Callable[..., Any], dict[str, Any]]:
     """A function of the kernel and its arguments, of which one may be spoilt."""
     function = SHARES[rng.choice(len(SHARES), p=[share for _, share in SHARES])][0]
-    given = _contacts(rng)
+    many = function is grasp.stability_forces and rng.random() < 0.02
+    given = _contacts(rng, 100 if many else 6)
     arguments = {
         grasp.stability_forces: lambda: _stability(rng, given),
         grasp.grasp_map: lambda: _map(rng, given),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+from time import thread_time
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 
 from dexctl.exceptions import InvalidInput
-from dexctl.grasp import stability_forces
+from dexctl.grasp import solve_stability, stability_forces
 
 
 def grasp(rng, k, spread=0.3, n=None):
@@ -118,7 +120,7 @@ def test_agrees_with_proxqp(k):
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10_000),
-    m=st.integers(1, 8),
+    m=st.one_of(st.integers(1, 8), st.sampled_from([12, 13, 14, 30])),
     spread=st.sampled_from([0.0, 0.05, 0.5, 3.0]),
     rho=st.sampled_from([0.0, 1e-5, 1e-3]),
     least=st.sampled_from([0.0, 0.2]),
@@ -145,6 +147,54 @@ def test_a_batch_gives_what_each_gives_alone(seed, m, spread, rho, least, unload
         assert many.residual[i] == pytest.approx(float(one.residual), abs=1e-8)
         assert many.held[i] == one.held
         assert many.length[i] == pytest.approx(float(one.length), abs=1e-12)
+
+
+def scattered(m, seed, one_side=False):
+    """Contacts all over a ball, or over half of it, which no forces balance."""
+    outward = np.random.default_rng(seed).normal(size=(m, 3))
+    if one_side:
+        outward[:, 2] = np.abs(outward[:, 2])
+    outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
+    return 0.04 * outward + [0.0, 0.01, 0.0], -outward
+
+
+@pytest.mark.parametrize("one_side", [False, True])
+@pytest.mark.parametrize("m", [12, 13, 18])
+@pytest.mark.parametrize("rho", [1e-6, 1e-3, 1.0])
+def test_many_contacts_have_the_answer_of_the_solver_for_few(m, rho, one_side):
+    position, normal = scattered(m, m, one_side)
+    got = stability_forces(
+        position, normal, np.ones(m, bool), np.zeros(3), regulariser=rho, min_force=0.1
+    )
+    w = wrenches(position, normal, got.length)
+    forces, held = solve_stability(w.T @ w + rho * np.eye(m), [0.1] * m, [1.0] * m, rho)
+    assert got.held == held
+    np.testing.assert_allclose(got.forces, forces, atol=1e-8)
+
+
+@pytest.mark.parametrize("one_side", [False, True])
+@pytest.mark.parametrize("rho", [0.0, 1e-3])
+def test_a_hundred_contacts_in_bounded_time(rho, one_side):
+    m = 100
+    position, normal = scattered(m, 0, one_side)
+    touch, options = np.ones(m, bool), dict(regulariser=rho, min_force=0.05)
+    start = thread_time()
+    one = stability_forces(position, normal, touch, np.zeros(3), **options)
+    assert thread_time() - start < 2.0  # of processor time; 0.1 s alone on a machine
+    many = stability_forces(position[None], normal[None], touch[None], np.zeros(3), **options)
+    assert many.held[0] == one.held
+    np.testing.assert_allclose(many.forces[0], one.forces, atol=1e-8)
+    w = wrenches(position, normal, one.length)
+    best = objective(w, one.forces, rho)
+    for j in (one.held, *range(0, m, 20)):  # another solver, with this one held at one
+        rest = np.arange(m) != j
+        a = np.vstack([w, np.sqrt(rho) * np.eye(m)])
+        b = np.append(np.zeros(6), np.full(m, np.sqrt(rho))) - a[:, j]
+        found = lsq_linear(a[:, rest], b, (0.05, 1.0), "bvls", tol=1e-14)
+        value = objective(w, np.insert(found.x, j, 1.0), rho)
+        assert value >= best - 1e-9
+        if j == one.held:
+            assert value == pytest.approx(best, abs=1e-9)
 
 
 @pytest.mark.parametrize("rho", [0.0, 1e-3])
