@@ -20,8 +20,10 @@ from dexctl.validation import shown
 UNIT_TOLERANCE = 0.02
 """Of the squared length of normals and quaternions."""
 FARTHEST = 1e3
-FALLEN = 1e7  # a dropped object falls 1800 km in the ten minutes of a batch [m]
-"""Farthest that contacts and the object may be [m], and joints [rad]; its square bounds forces."""
+"""Farthest that contacts [m] and joints [rad, m] may be; its square bounds forces [N]."""
+FALLEN = 1e7
+"""Farthest that the object may be [m]; a dropped one falls 1800 km in the ten minutes of a batch.
+Bounds gravity [m/s^2] and goals' angular velocities [rad/s] too."""
 
 
 class Controller(ABC):
@@ -244,8 +246,8 @@ def check_sound(hand: HandModel, state: GraspState) -> None:
     """Raise InvalidInput where ``state`` would move a motor wrongly.
 
     What a controller may read is finite, normals and quaternions are of unit length, forces are
-    0 or more, and no contact is farther than a kilometre. Rows of fingers out of touch are not
-    read.
+    0 or more, and no contact and no joint is farther than `FARTHEST`. Rows of fingers out of touch
+    are not read.
     """
     normal, point = state.contact_normal, state.contact_position
     square = np.einsum("...i,...i->...", normal, normal)
@@ -256,11 +258,11 @@ def check_sound(hand: HandModel, state: GraspState) -> None:
     good |= ~state.in_contact
     size = np.einsum("...i,...i->...", state.q, state.q)
     size = size + np.einsum("...i,...i->...", state.q_target, state.q_target)
+    right = good.all() and (size <= FARTHEST**2).all()
     for name in _VECTORS:
         value = getattr(state, name)
-        if value is not None:
-            size = size + np.einsum("...i,...i->...", value, value)
-    right = good.all() and (size <= FALLEN**2).all()
+        if right and value is not None:
+            right = (np.einsum("...i,...i->...", value, value) <= FALLEN**2).all()
     for name in _QUATERNIONS:
         quaternion = getattr(state, name)
         if right and quaternion is not None:
@@ -299,8 +301,9 @@ def refuse(hand: HandModel, state: GraspState) -> None:
         for name in ("q", "q_target", *_VECTORS):
             value = getattr(state, name)
             if value is not None:
-                over = np.linalg.norm(value, axis=-1) > 0.5 * FALLEN
-                _refuse_rows(name, value, over, (), f"within {FALLEN:g}")
+                most = FALLEN if name in _VECTORS else FARTHEST
+                over = np.linalg.norm(value, axis=-1) > 0.7 * most
+                _refuse_rows(name, value, over, (), f"within {most:g}")
         for name in _QUATERNIONS:
             value = getattr(state, name)
             if value is not None:

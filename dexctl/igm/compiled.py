@@ -311,9 +311,10 @@ def sound(q, q_target, position, normal, force, touch, object_position, quaterni
     size = 0.0
     for i in range(len(q)):
         size += q[i] ** 2 + q_target[i] ** 2
+    square = 0.0
     for c in range(3):
-        size += object_position[c] ** 2
-    if not size <= FALLEN**2:
+        square += object_position[c] ** 2
+    if not (size <= FARTHEST**2 and square <= FALLEN**2):
         return False
     square = 0.0
     for c in range(4):

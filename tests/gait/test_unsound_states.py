@@ -76,7 +76,9 @@ WRONG = [
     ("object_quaternion", lambda q: 0 * q, "of unit length"),
     ("object_position", lambda p: p * np.nan, "finite"),
     ("object_position", lambda p: p + 1e160, "within 1e"),
-    ("q", lambda q: q + 1e160, "within 1e"),
+    ("q", lambda q: q + 1e160, "within 1000"),
+    ("q", lambda q: q + 1e5, "within 1000"),
+    ("q_target", lambda q: q - 1e5, "within 1000"),
     ("q", lambda q: q * np.nan, "finite"),
     ("q_target", lambda q: q + np.inf, "finite"),
 ]
@@ -159,6 +161,7 @@ def test_the_compiled_check_has_the_plain_one_s_numbers() -> None:
 
     assert compiled.UNIT_TOLERANCE == controller.UNIT_TOLERANCE
     assert compiled.FARTHEST == controller.FARTHEST
+    assert compiled.FALLEN == controller.FALLEN
 
 
 def under_attack(hand: dexctl.HandModel, calls: int, seed: int) -> tuple[int, int]:
