@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
+from math import hypot
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,11 +24,13 @@ from dexctl.description import Description, Joint, Mimic, read_mjcf, read_urdf
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.hand_config import HandConfig, Vector3
 from dexctl.state import Bools, Floats
-from dexctl.validation import number
+from dexctl.validation import number, numbers, shown
 
 Item = TypeVar("Item")
 MOST_JOINTS = 256
 """On one finger, arm and wrist included."""
+MAX_ANGLE = 1e6
+"""Largest joint position [rad, m]: sine and cosine keep 10 digits."""
 _MOST = float(np.finfo(float).max)
 
 
@@ -144,7 +147,7 @@ class HandModel:
     ) -> HandModel:
         path = _file(path)
         tips = _offsets(path, fingertips)
-        order = None if joints is None else tuple(joints)
+        order = None if joints is None else _names(path, "joints", joints, "joint names")
         config = HandConfig(description=path, fingertips=tips, joints=order)
         return cls(reader(path), config)
 
@@ -152,11 +155,18 @@ class HandModel:
         """Forward kinematics at ``q`` ``(..., d)`` [rad].
 
         Raises:
-            InvalidInput: q has another number of joints.
+            InvalidInput: q has another number of joints, or is no array of real numbers within
+                `MAX_ANGLE`.
         """
-        q = np.asarray(q, float)
-        if q.ndim == 0 or q.shape[-1] != self.nq:
-            raise InvalidInput(f"q has shape {q.shape}; expected (..., {self.nq})")
+        q = self._joints(q)
+        if not (q.ndim == 1 and hypot(*q.tolist()) <= MAX_ANGLE):  # told at once
+            within = np.abs(q) <= MAX_ANGLE
+            if not within.all():
+                at = tuple(np.argwhere(~within.all(axis=-1))[0].tolist())
+                where = str(list(at)) if at else ""
+                raise InvalidInput(
+                    f"q{where} is {shown(q[at])}; expected angles of at most {MAX_ANGLE:.0e} rad"
+                )
         if q.ndim == 1:  # what a control loop asks, without the detour through a batch of one
             with self._lock:
                 row = q @ self._expand
@@ -194,10 +204,14 @@ class HandModel:
         """Jacobians ``(..., m, 3, d)`` of contact points fixed on the distal links.
 
         ``contact_position`` is ``(..., m, 3)`` [m], world frame; row i is a point of finger i's
-        distal link. J dq is the velocity of those points (J_S of the thesis, chapter 4).
+        distal link, and is read for finger i alone. J dq is the velocity of those points (J_S of
+        the thesis, chapter 4).
+
+        Raises:
+            InvalidInput: as `configuration`; points of another shape, or that are no real numbers.
         """
-        points = np.asarray(contact_position, float)
-        q = np.asarray(q, float)
+        points = numbers("contact_position", contact_position, "points [m]")
+        q = self._joints(q)
         if points.shape != (*q.shape[:-1], self.n_fingers, 3):
             raise InvalidInput(
                 f"contact_position has shape {points.shape}; expected "
@@ -205,9 +219,23 @@ class HandModel:
             )
         return self.configuration(q).contact_jacobian(points)
 
-    def clip(self, q: Floats) -> Floats:
-        """``q`` within the joint limits."""
-        return np.minimum(np.maximum(q, self.lower), self.upper)
+    def clip(self, q: ArrayLike) -> Floats:
+        """``q`` ``(..., d)`` [rad] within the joint limits; infinite ones are at them.
+
+        Raises:
+            InvalidInput: q has another number of joints, or holds what is no real number.
+        """
+        within = np.minimum(np.maximum(self._joints(q), self.lower), self.upper)
+        if np.isnan(within).any():
+            raise InvalidInput(f"q is {shown(q)}; expected joint positions, none of them NaN")
+        return within
+
+    def _joints(self, q: ArrayLike) -> Floats:
+        """``q`` as an array ``(..., d)``."""
+        q = numbers("q", q, "joint positions [rad]")
+        if q.ndim == 0 or q.shape[-1] != self.nq:
+            raise InvalidInput(f"q has shape {q.shape}; expected (..., {self.nq})")
+        return q
 
     def posture(self, angles: Mapping[str, float]) -> Floats:
         """Joints by name ``(d,)`` [rad], within their limits.
@@ -216,8 +244,10 @@ class HandModel:
 
         Raises:
             UnknownName: the hand has no such joint.
-            InvalidInput: an angle is no finite number.
+            InvalidInput: an angle is no finite number, or ``angles`` no mapping.
         """
+        if not isinstance(angles, Mapping):
+            raise InvalidInput(f"angles is {shown(angles)}; expected angles by the joints' names")
         limited = np.isfinite(self.lower) & np.isfinite(self.upper)
         q = np.zeros(self.nq)
         q[limited] = (self.lower[limited] + self.upper[limited]) / 2
@@ -382,16 +412,17 @@ class HandModel:
 def _file(path: object) -> Path:
     """``path`` where it names a file, and is not the text of one."""
     is_text = isinstance(path, str) and path.lstrip("\ufeff \t\r\n").startswith("<")
-    shown = repr(path) if len(repr(path)) < 80 else repr(path)[:76] + " ..."
     if is_text or not isinstance(path, (str, Path)):
-        raise HandModelError(f"path is {shown}; expected the path of a file, not what is in it")
+        raise HandModelError(
+            f"path is {shown(path)}; expected the path of a file, not what is in it"
+        )
     found = Path(path).expanduser()
     try:
         exists = found.is_file()
     except OSError:  # a name that is too long
         exists = False
     if not exists:
-        raise HandModelError(f"{shown if len(str(found)) > 400 else found}: no such file")
+        raise HandModelError(f"{shown(path) if len(str(found)) > 400 else found}: no such file")
     return found
 
 
@@ -423,16 +454,21 @@ def _coupled(description: Description, config: HandConfig) -> Description:
 
 def _offsets(path: Path, fingertips: Sequence[str] | Mapping[str, ArrayLike]) -> dict[str, Any]:
     """Fingertips with their offsets, those of a list at the origins of their frames."""
-    if isinstance(fingertips, str) or not len(fingertips):
-        raise HandModelError(
-            f"{path}: fingertips is {fingertips!r}; expected a list of body or site names"
-        )
+    names = _names(path, "fingertips", fingertips, "a list of body or site names")
     if isinstance(fingertips, Mapping):
         return dict(fingertips)
-    names = list(fingertips)
     if len(set(names)) != len(names):
-        raise HandModelError(f"{path}: a fingertip is named twice in {names}")
+        raise HandModelError(f"{path}: a fingertip is named twice in {list(names)}")
     return dict.fromkeys(names, (0.0, 0.0, 0.0))
+
+
+def _names(path: Path, what: str, given: object, expected: str) -> tuple[str, ...]:
+    """``given`` as names, one and more."""
+    listed = isinstance(given, Iterable) and not isinstance(given, (str, bytes))
+    names = tuple(given) if listed else ()
+    if not names or not all(isinstance(name, str) for name in names):
+        raise HandModelError(f"{path}: {what} is {shown(given)}; expected {expected}")
+    return names
 
 
 def _stacked(views: list[Floats]) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.state import Floats
+from dexctl.validation import numbers
 
 if TYPE_CHECKING:
     from dexctl.hand import HandModel
@@ -215,8 +216,8 @@ class HandConfig:
 
     def _offset(self, fingertip: str, value: Any) -> Vector3:
         try:
-            offset = np.asarray(value, float)
-        except (TypeError, ValueError):
+            offset = numbers(fingertip, value, "")
+        except InvalidInput:
             offset = np.array(np.nan)
         if offset.shape != (3,) or not np.isfinite(offset).all():
             raise HandModelError(

@@ -12,11 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from dexctl.exceptions import InvalidInput
 from dexctl.rotations import Floats as Floats  # for those who take it from here
 from dexctl.rotations import inverse, multiply, rotate
+from dexctl.validation import numbers, shown, truths
 
 if TYPE_CHECKING:
     from dexctl.touch import Hand, TouchConfig
 
 Bools = NDArray[np.bool_]
+_REAL = "an array of real numbers"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +49,9 @@ class GraspState:
             are told from joints or switches they point to the middle, however a face leans.
 
     Raises:
-        InvalidInput: shapes that do not belong together; the message names the field.
+        InvalidInput: shapes that do not belong together, or what is no real number (no bool, for
+            ``in_contact``, where 0 and 1 are taken for them); the message names the field. NaN is
+            taken: controllers refuse it where they read it.
     """
 
     q: Floats
@@ -88,7 +92,7 @@ class GraspState:
         for name in ("time", "age"):
             value = getattr(self, name)
             if type(value) is not float:
-                shape = np.shape(value)
+                shape = numbers(f"GraspState.{name}", value, "seconds").shape
                 _check_shape(self, name, shape, batch if shape else ())
         if type(self.normals_felt) is not bool:
             felt = _truths("normals_felt", self.normals_felt)
@@ -192,14 +196,21 @@ class GraspState:
         **pose: Any,
     ) -> GraspState:
         """The state by stiffness, torque and free torque, and by what is known of the fingers."""
-        from dexctl.touch import check_hand, estimate_touch, per_joint, servo_torques, touch_config
+        from dexctl.touch import (
+            MOST,
+            check_hand,
+            estimate_touch,
+            per_joint,
+            servo_torques,
+            touch_config,
+        )
 
         check_hand(hand)
         settings = touch_config(config)
         stiffness, torque, free_torque = servos
         if stiffness is not None and torque is not None:
             raise InvalidInput("both stiffness and torque are given; expected one of them")
-        joints = {"q": _floats("q", q), "q_target": _floats("q_target", q_target)}
+        joints = {"q": numbers("q", q, _REAL), "q_target": numbers("q_target", q_target, _REAL)}
         for name, value in joints.items():
             if value.shape != joints["q"].shape or value.shape[-1:] != (hand.nq,):
                 raise InvalidInput(f"{name} has shape {value.shape}; expected (..., {hand.nq})")
@@ -212,19 +223,19 @@ class GraspState:
         if pressing is not None and free_torque is not None:
             pressing = pressing - per_joint(hand, "free_torque", free_torque)
         shape = (*joints["q"].shape[:-1], hand.n_fingers)
-        known = {
-            name: np.asarray(value, bool) for name, value in fingers.items() if value is not None
-        }
+        known = {name: truths(name, value) for name, value in fingers.items() if value is not None}
         for name, value in known.items():
             if value.shape != shape:
                 raise InvalidInput(f"{name} has shape {value.shape}; expected {shape}")
         place = pose["object_position"]
         if place is not None:
-            place = pose["object_position"] = _floats("object_position", place)
+            place = pose["object_position"] = numbers("object_position", place, _REAL)
             if place.shape != (*shape[:-1], 3):
                 raise InvalidInput(
                     f"object_position has shape {place.shape}; expected {(*shape[:-1], 3)}"
                 )
+            if not (np.abs(place) <= MOST).all():
+                raise InvalidInput(f"object_position is {shown(place)}; expected finite metres")
         found = estimate_touch(
             hand, joints["q"], pressing, settings, **known, object_position=place
         )
@@ -273,7 +284,8 @@ class GraspState:
         Raises:
             InvalidInput: a shape that does not belong to the state, a length that is not one.
         """
-        place, turn = _floats("position", position), _floats("quaternion", quaternion)
+        place = numbers("position", position, _REAL)
+        turn = numbers("quaternion", quaternion, _REAL)
         for name, value, width in (("position", place, 3), ("quaternion", turn, 4)):
             if value.shape not in ((width,), (*self.batch_shape, width)):
                 expected = " or ".join({str((width,)), str((*self.batch_shape, width))})
@@ -318,13 +330,6 @@ def merged(chosen: Bools, state: GraspState, other: GraspState) -> GraspState:
     return replace(state, **values)
 
 
-def _floats(name: str, value: ArrayLike) -> Floats:
-    try:
-        return np.asarray(value, float)
-    except (TypeError, ValueError):
-        raise InvalidInput(f"{name} is {value!r}; expected numbers") from None
-
-
 def _truths(name: str, value: object) -> Bools:
     """``value`` as an array of bool; what is only taken for one, as a text is, is refused."""
     try:
@@ -341,12 +346,8 @@ def _truths(name: str, value: object) -> Bools:
 def _array(state: GraspState, name: str, kind: type = float) -> NDArray:
     value = getattr(state, name)
     if not (type(value) is np.ndarray and value.dtype == kind):
-        try:
-            value = np.asarray(value, kind)
-        except (TypeError, ValueError):
-            raise InvalidInput(
-                f"GraspState.{name} is {value!r}; expected an array of {kind.__name__}"
-            ) from None
+        what = f"GraspState.{name}"
+        value = truths(what, value) if kind is bool else numbers(what, value, _REAL)
         object.__setattr__(state, name, value)
     return value
 

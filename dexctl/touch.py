@@ -19,6 +19,7 @@ from dexctl.validation import check_numbers, numbers, shown
 
 Floats = NDArray[np.float64]  # as in dexctl.state, which stands above
 Bools = NDArray[np.bool_]
+MOST = 1e9  # of angles, torques, stiffness and damping of a joint, and of metres
 _DAMPING = 0.005  # keeps forces finite where a finger is stretched [m]
 
 
@@ -205,13 +206,12 @@ def per_joint(hand: Hand, name: str, value: ArrayLike) -> Floats:
     """``value`` as an array, for all joints or for each of them ``(..., d)``.
 
     Raises:
-        InvalidInput: it is not finite, or of another number of joints.
+        InvalidInput: it is not finite, over `MOST`, or of another number of joints.
     """
-    array = numbers(name, value, f"finite numbers, one or (..., {hand.nq})")
-    if array.shape[-1:] not in ((), (hand.nq,)) or not np.isfinite(array).all():
-        raise InvalidInput(
-            f"{name} is {shown(value)}; expected finite numbers, one or (..., {hand.nq})"
-        )
+    expected = f"finite numbers, one or (..., {hand.nq}), of at most {MOST:.0e}"
+    array = numbers(name, value, expected)
+    if array.shape[-1:] not in ((), (hand.nq,)) or not (np.abs(array) <= MOST).all():
+        raise InvalidInput(f"{name} is {shown(value)}; expected {expected}")
     return array
 
 

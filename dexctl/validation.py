@@ -72,6 +72,24 @@ def check_mask(mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return array
 
 
+def truths(name: str, value: ArrayLike) -> NDArray[np.bool_]:
+    """``value`` as an array of bools; 0 and 1 are taken for them, and nothing else is.
+
+    Raises:
+        InvalidInput: it is none.
+    """
+    if type(value) is np.ndarray and value.dtype == bool:
+        return value
+    try:
+        array: NDArray[Any] = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        array = np.asarray(None)
+    one_or_zero = array.dtype.kind in "iuf" and ((array == 0) | (array == 1)).all()
+    if array.dtype != bool and not one_or_zero:
+        raise InvalidInput(f"{name} is {shown(value)}; expected bools")
+    return array.astype(bool, copy=False)
+
+
 def shown(value: object) -> str:
     """``value`` on one line of a message, shortened."""
     text = " ".join(repr(value).split())

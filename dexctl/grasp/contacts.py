@@ -16,15 +16,13 @@ from numpy.typing import ArrayLike
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel
 from dexctl.state import Bools, Floats
-from dexctl.validation import numbers, shown
+from dexctl.validation import numbers, shown, truths
 
 CONTACT_MODELS = {"frictionless": 1, "hard": 3, "soft": 4}
 """Columns of the grasp map per contact: the normal force; the force in world axes; the force in
 world axes and the torque about the normal."""
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
-MAX_ANGLE = 1e6
-"""Greatest joint angle [rad], for prismatic joints [m]."""
 NORMAL_TOLERANCE = 0.02  # on the squared norm of a unit normal
 MAX_DISTANCE = 1e6
 """Greatest distance of a contact from the origin, along an axis [m]; beyond lies no hand."""
@@ -177,9 +175,6 @@ def hand_jacobian(
     """
     if not isinstance(hand, HandModel):
         raise InvalidInput(f"hand is {shown(hand)}; expected a HandModel")
-    q = numbers("q", q, f"(..., {hand.nq})")
-    if not (np.abs(q) <= MAX_ANGLE).all():
-        raise InvalidInput(f"q is {shown(q)}; expected angles of at most {MAX_ANGLE:.0e} rad")
     position = _rows(contact_position, "contact_position")
     if in_contact is None:
         in_contact = np.ones(position.shape[:-1], bool)
@@ -207,17 +202,10 @@ def check_model(model: object, known: Collection[str]) -> None:
 
 def check_mask(in_contact: ArrayLike, shape: tuple[int, ...]) -> Bools:
     """``in_contact`` as bools of ``shape``."""
-    try:
-        active = np.asarray(in_contact)
-    except ValueError:  # rows of different lengths
-        active = np.asarray(None)
+    active = truths("in_contact", in_contact)
     if active.shape != shape:
         raise InvalidInput(f"in_contact has shape {active.shape}; expected {shape}")
-    if active.dtype != bool and not (
-        active.dtype.kind in "iuf" and ((active == 0) | (active == 1)).all()
-    ):
-        raise InvalidInput(f"in_contact is {shown(in_contact)}; expected bools")
-    return active.astype(bool, copy=False)
+    return active
 
 
 def check_origin(origin: ArrayLike, position: Floats) -> Floats:

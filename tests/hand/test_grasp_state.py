@@ -69,6 +69,26 @@ def test_what_is_no_array_names_the_field(name: str, value: Any) -> None:
         GraspState(**(fields() | {name: value}))
 
 
+@pytest.mark.parametrize("name", [*fields(), "time", "age"])
+@pytest.mark.parametrize("kind", [complex, str])
+def test_what_is_no_real_number_names_the_field(name: str, kind: type) -> None:
+    values: dict[str, Any] = fields((4,)) | {"time": np.zeros(4), "age": np.zeros(4)}
+    values[name] = values[name].astype(kind)
+    with pytest.raises(InvalidInput, match=rf"GraspState\.{name} is .*expected") as error:
+        GraspState(**values)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 200
+
+
+@pytest.mark.parametrize("value", [0.5, np.nan, 2, -1.0])
+def test_touch_is_bools_or_ones_and_zeros(value: float) -> None:
+    touch = np.zeros((4, 5))
+    touch[1] = 1.0
+    assert GraspState(**(fields((4,)) | {"in_contact": touch})).in_contact[1].all()
+    touch[2, 0] = value
+    with pytest.raises(InvalidInput, match=r"GraspState\.in_contact is .*; expected bools"):
+        GraspState(**(fields((4,)) | {"in_contact": touch}))
+
+
 @pytest.mark.parametrize(
     "value", ["yes", 0.5, float("nan"), None, [0.0, 1.0, 1.0, 0.0], [[True], [True, False]]]
 )
@@ -166,7 +186,7 @@ def test_in_the_frame_of_a_hand_that_is_carried() -> None:
         ((0.0, 0.0, np.nan), (1.0, 0.0, 0.0, 0.0), "position is"),
         ((0.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0), "quaternion has the length 1.41"),
         ((0.0, 0.0, 0.0), np.ones((2, 4)) / 2, "quaternion has shape"),
-        ("here", (1.0, 0.0, 0.0, 0.0), "position is 'here'"),
+        ("here", (1.0, 0.0, 0.0, 0.0), "position is not an array of numbers: 'here'"),
     ],
 )
 def test_a_frame_that_is_none(position: Any, quaternion: Any, message: str) -> None:

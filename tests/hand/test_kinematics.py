@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -121,6 +123,45 @@ def test_dex5_joints_and_limits(dex5: HandModel) -> None:
 def test_a_wrong_number_of_joints_is_an_error(dex5: HandModel, shape: tuple[int, ...]) -> None:
     with pytest.raises(InvalidInput, match=r"expected \(\.\.\., 15\)"):
         dex5.fingertip_positions(np.zeros(shape))
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e7, -1e300, 1j])
+def test_joints_that_cannot_be_are_refused_in_one_line(
+    dex5: HandModel, batch: tuple[int, ...], value: complex
+) -> None:
+    q = np.zeros((*batch, dex5.nq), type(value))
+    q[(*(-1 for _ in batch), 4)] = value
+    points = np.zeros((*batch, 5, 3))
+    at = " " if value == 1j else {(): " ", (3,): r"\[2\] ", (2, 3): r"\[1, 2\] "}[batch]
+    for function in (
+        dex5.configuration,
+        dex5.fingertip_positions,
+        lambda q: dex5.contact_jacobian(q, points),
+    ):
+        with pytest.raises(InvalidInput, match=f"^q{at}.*; expected ") as error:
+            function(q)
+        assert "\n" not in str(error.value) and len(str(error.value)) < 200
+    with pytest.raises(InvalidInput, match="^contact_position is not an array of numbers"):
+        dex5.contact_jacobian(np.zeros(q.shape), points + 1j)
+
+
+@pytest.mark.parametrize("value", ["x", None, [1.0, 2.0], 1.0, [[1.0], [1.0, 2.0]], {}])
+def test_what_is_no_joints_is_refused_in_one_line(dex5: HandModel, value: Any) -> None:
+    for function in (dex5.configuration, dex5.clip):
+        with pytest.raises(InvalidInput, match="^q ") as error:
+            function(value)
+        assert "\n" not in str(error.value)
+    with pytest.raises(InvalidInput, match="^angles is .*; expected angles by"):
+        dex5.posture(value or [])
+
+
+def test_clip_takes_what_has_an_order(dex5: HandModel) -> None:
+    for q in (np.full(15, np.nan), np.zeros(15) + 1j):
+        with pytest.raises(InvalidInput, match="^q is"):
+            dex5.clip(q)
+    np.testing.assert_array_equal(dex5.clip(np.full((2, 15), np.inf)), [dex5.upper] * 2)
+    np.testing.assert_array_equal(dex5.clip([-1e300] * 15), dex5.lower)
 
 
 def test_contact_points_of_another_shape_are_an_error(dex5: HandModel) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -157,10 +158,18 @@ def test_pickled_and_read_again(hand: HandModel) -> None:
     assert (other.fingertip_positions(q) == hand.fingertip_positions(q)).all()
 
 
-@pytest.mark.parametrize("tips", [[], (), {}, "a_tip"])
+@pytest.mark.parametrize(
+    "tips", [[], (), {}, "a_tip", None, 2, b"a_tip", [None], ["a_tip", 2], [["a_tip"]], {2: "x"}]
+)
 def test_no_list_of_fingertips_is_an_error(hand: HandModel, tips: list[str]) -> None:
     with pytest.raises(HandModelError, match="expected a list of body or site names"):
         HandModel.from_mjcf(hand.path, tips)
+
+
+@pytest.mark.parametrize("joints", [[], 3, "wrist", [None], [["wrist"]]])
+def test_no_list_of_joints_is_an_error(hand: HandModel, joints: Any) -> None:
+    with pytest.raises(HandModelError, match="joints is .*; expected joint names"):
+        HandModel.from_mjcf(hand.path, ["a_tip", "b_tip"], joints=joints)
 
 
 def test_an_unknown_fingertip_lists_the_known(hand: HandModel) -> None:
@@ -173,7 +182,7 @@ def test_a_fingertip_named_twice_is_an_error(hand: HandModel) -> None:
         HandModel.from_mjcf(hand.path, ["a_tip", "a_tip"])
 
 
-@pytest.mark.parametrize("offset", [(0, 0), "low", (0, 0, np.nan)])
+@pytest.mark.parametrize("offset", [(0, 0), "low", (0, 0, np.nan), np.zeros(3) + 1j])
 def test_an_offset_that_is_no_point_is_an_error(hand: HandModel, offset: object) -> None:
     with pytest.raises(HandModelError, match="a_tip.*offset"):
         HandModel.from_mjcf(hand.path, {"a_tip": offset, "b_tip": (0, 0, 0)})  # type: ignore[dict-item]

@@ -165,6 +165,13 @@ def test_one_hand_and_a_batch_are_the_same(hand: HandModel) -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
+        ({"stiffness": 3.0, "q": np.zeros(15) + 1j}, "q is not an array of numbers"),
+        ({"stiffness": 3.0, "q_target": np.full(15, 1e200)}, "q_target is .* at most 1e"),
+        ({"stiffness": 1e300}, "stiffness is 1e.300; expected finite numbers, .* at most 1e"),
+        ({"torque": np.full(15, 1e300)}, "torque is .* at most 1e"),
+        ({"stiffness": 3.0, "touched": [2, 0, 0, 0, 0]}, "touched is .*; expected bools"),
+        ({"stiffness": 3.0, "object_position": [0, 0, np.nan]}, "object_position is .* finite"),
+        ({"stiffness": 3.0, "age": "old"}, "age is not an array of numbers"),
         ({}, "neither stiffness nor torque"),
         ({"stiffness": 3.0, "torque": np.zeros(15)}, "both stiffness and torque"),
         ({"stiffness": -1.0}, "stiffness is -1.0; expected N m/rad above 0"),
@@ -172,7 +179,7 @@ def test_one_hand_and_a_batch_are_the_same(hand: HandModel) -> None:
         ({"torque": np.full(15, np.nan)}, "torque is .* expected finite numbers"),
         ({"stiffness": 3.0, "touched": [True]}, r"touched has shape \(1,\); expected \(5,\)"),
         ({"stiffness": 3.0, "q_target": np.zeros(3)}, r"q_target has shape \(3,\)"),
-        ({"stiffness": 3.0, "q": "open"}, "q is 'open'; expected numbers"),
+        ({"stiffness": 3.0, "q": "open"}, "q is not an array of numbers: 'open'"),
         ({"stiffness": 3.0, "q": np.full(15, np.nan)}, "q is .* expected finite numbers"),
         ({"stiffness": 3.0, "object_position": np.zeros(2)}, "object_position has shape"),
     ],
