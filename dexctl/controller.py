@@ -110,8 +110,8 @@ class Controller(ABC):
         own = self._signed()
         for name, value in own.items():
             found = saved.get(name) if isinstance(saved, Mapping) else None
-            if found != value:
-                raise InvalidInput(f"the saved state has {name} {found!r}; expected {value!r}")
+            if not (isinstance(found, str) and found == value):
+                raise InvalidInput(f"the saved state has {name} {shown(found)}; expected {value!r}")
         return check_names(type(self).__name__, saved, (*own, *names))
 
     @property

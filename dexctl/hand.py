@@ -462,10 +462,10 @@ def _offsets(path: Path, fingertips: Sequence[str] | Mapping[str, ArrayLike]) ->
     return dict.fromkeys(names, (0.0, 0.0, 0.0))
 
 
-def _names(path: Path, what: str, given: object, expected: str) -> tuple[str, ...]:
+def _names(path: Path, what: str, given: Any, expected: str) -> tuple[str, ...]:
     """``given`` as names, one and more."""
     listed = isinstance(given, Iterable) and not isinstance(given, (str, bytes))
-    names = tuple(given) if listed else ()
+    names: tuple[Any, ...] = tuple(given) if listed else ()
     if not names or not all(isinstance(name, str) for name in names):
         raise HandModelError(f"{path}: {what} is {shown(given)}; expected {expected}")
     return names

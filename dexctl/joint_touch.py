@@ -23,7 +23,7 @@ from dexctl.touch import (
     servo_torques,
     touch_config,
 )
-from dexctl.validation import check_mask, number
+from dexctl.validation import check_mask, number, shown
 
 
 class JointTouch:
@@ -68,7 +68,7 @@ class JointTouch:
         self._stiffness = np.asarray(stiffness, float)
         drag = per_joint(hand, "damping", damping)
         if not (drag >= 0).all():
-            raise InvalidInput(f"damping is {damping}; expected N m s/rad from 0 on")
+            raise InvalidInput(f"damping is {shown(damping)}; expected N m s/rad from 0 on")
         control_period = number(
             "control_period", control_period, 0.0, sys.float_info.max, "seconds above 0", above=True
         )
@@ -115,14 +115,14 @@ class JointTouch:
         """
         check_state(self.hand, state)
         for name in ("q", "q_target"):  # one NaN would be in the smoothed torque for good
-            per_joint(self.hand, name, getattr(state, name))
+            per_joint(self.hand, name, getattr(state, name), state.q.shape)
         if switches is not None:
-            switches = check_mask(switches, state.in_contact.shape)
+            switches = check_mask(switches, state.in_contact.shape, "switches")
         if mask is not None:
             mask = check_mask(mask, state.batch_shape)
         measured = torque is not None
         if measured:
-            torque = np.broadcast_to(per_joint(self.hand, "torque", torque), state.q.shape)
+            torque = per_joint(self.hand, "torque", torque, state.q.shape)
         else:
             torque = servo_torques(self.hand, state.q, state.q_target, self._stiffness)
         past = self._past
@@ -135,7 +135,7 @@ class JointTouch:
         if free_torque is None and self._weights is not None and state.gravity is not None:
             free_torque = self._weights(state.q, state.gravity)
         if free_torque is not None:
-            torque = torque - per_joint(self.hand, "free_torque", free_torque)
+            torque = torque - per_joint(self.hand, "free_torque", free_torque, state.q.shape)
         smooth = np.where(fresh, torque, past["torque"] + self._new * (torque - past["torque"]))
         found = estimate_touch(
             self.hand,

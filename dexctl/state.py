@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from dexctl.exceptions import InvalidInput
 from dexctl.rotations import Floats as Floats  # for those who take it from here
 from dexctl.rotations import inverse, multiply, rotate
-from dexctl.validation import numbers, shown, truths
+from dexctl.validation import check_mask, numbers, shown, truths
 
 if TYPE_CHECKING:
     from dexctl.touch import Hand, TouchConfig
@@ -211,18 +211,19 @@ class GraspState:
         if stiffness is not None and torque is not None:
             raise InvalidInput("both stiffness and torque are given; expected one of them")
         joints = {"q": numbers("q", q, _REAL), "q_target": numbers("q_target", q_target, _REAL)}
+        shape = joints["q"].shape
         for name, value in joints.items():
-            if value.shape != joints["q"].shape or value.shape[-1:] != (hand.nq,):
+            if value.shape != shape or value.shape[-1:] != (hand.nq,):
                 raise InvalidInput(f"{name} has shape {value.shape}; expected (..., {hand.nq})")
-            per_joint(hand, name, value)  # what is not finite would press nowhere, silently
+            per_joint(hand, name, value, shape)  # what is not finite would press nowhere, silently
         pressing = None
         if stiffness is not None:
             pressing = servo_torques(hand, **joints, stiffness=stiffness)
         elif torque is not None:
-            pressing = per_joint(hand, "torque", torque)
+            pressing = per_joint(hand, "torque", torque, shape)
         if pressing is not None and free_torque is not None:
-            pressing = pressing - per_joint(hand, "free_torque", free_torque)
-        shape = (*joints["q"].shape[:-1], hand.n_fingers)
+            pressing = pressing - per_joint(hand, "free_torque", free_torque, shape)
+        shape = (*shape[:-1], hand.n_fingers)
         known = {name: truths(name, value) for name, value in fingers.items() if value is not None}
         for name, value in known.items():
             if value.shape != shape:
@@ -313,7 +314,12 @@ class GraspState:
         return replace(self, **values)
 
     def without(self, fingers: Bools) -> GraspState:
-        """The same state with ``fingers`` ``(..., m)`` counted as out of contact."""
+        """The same state with ``fingers`` ``(..., m)`` counted as out of contact.
+
+        Raises:
+            InvalidInput: they are not bools, one for each finger.
+        """
+        fingers = check_mask(fingers, self.in_contact.shape, "fingers")
         return replace(self, in_contact=self.in_contact & ~fingers)
 
 
@@ -338,7 +344,7 @@ def _truths(name: str, value: object) -> Bools:
         array = np.zeros(0)
     if array.dtype != bool:
         raise InvalidInput(
-            f"GraspState.{name} is {value!r}; expected a bool, for all hands or for each"
+            f"GraspState.{name} is {shown(value)}; expected a bool, for all hands or for each"
         )
     return array
 

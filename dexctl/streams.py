@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput
 from dexctl.saved import check_names
+from dexctl.validation import shown
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -117,10 +118,14 @@ class Streams:
             InvalidInput: it is not of this batch shape.
         """
         for name, array in saved._asdict().items():
-            if np.shape(array) != self.batch_shape or np.asarray(array).dtype != np.uint64:
+            if not isinstance(array, np.ndarray):
                 raise InvalidInput(
-                    f"the saved {name} of the random streams is of shape {np.shape(array)} and "
-                    f"kind {np.asarray(array).dtype}; expected {self.batch_shape} and uint64"
+                    f"the saved {name} of the random streams is {shown(array)}; expected an array"
+                )
+            if array.shape != self.batch_shape or array.dtype != np.uint64:
+                raise InvalidInput(
+                    f"the saved {name} of the random streams is of shape {array.shape} and "
+                    f"kind {array.dtype}; expected {self.batch_shape} and uint64"
                 )
         self._key, self._counter = saved.key.copy(), saved.counter.copy()
 
@@ -163,6 +168,6 @@ class LateStreams:
         drawn: Any = found["key"], found["counter"]
         streams = None
         if any(part is not None for part in drawn):
-            streams = Streams(0, np.shape(drawn[0]))
+            streams = Streams(0, getattr(drawn[0], "shape", ()))
             streams.restore(StreamsState(*drawn))
         self._seed, self._streams = _wrapped(found["seed"]), streams

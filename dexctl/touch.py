@@ -120,9 +120,9 @@ def servo_torques(hand: Hand, q: Floats, q_target: Floats, stiffness: ArrayLike)
     Raises:
         InvalidInput: a stiffness that is not above 0, or of another number of joints.
     """
-    stiff = per_joint(hand, "stiffness", stiffness)
+    stiff = per_joint(hand, "stiffness", stiffness, q.shape)
     if not (stiff > 0).all():
-        raise InvalidInput(f"stiffness is {stiffness}; expected N m/rad above 0")
+        raise InvalidInput(f"stiffness is {shown(stiffness)}; expected N m/rad above 0")
     return np.clip(stiff * (q_target - q), -hand.effort, hand.effort)
 
 
@@ -202,17 +202,24 @@ def fingertip_forces(hand: Hand, now: Any, point: Floats, torque: Floats) -> Flo
     return np.linalg.solve(gram, right)[..., 0]
 
 
-def per_joint(hand: Hand, name: str, value: ArrayLike) -> Floats:
-    """``value`` as an array, for all joints or for each of them ``(..., d)``.
+def per_joint(
+    hand: Hand, name: str, value: ArrayLike, shape: tuple[int, ...] | None = None
+) -> Floats:
+    """``value`` for each joint, of ``shape`` ``(..., d)``; None: ``(d,)``.
+
+    One number is for all joints, ``(d,)`` for all hands.
 
     Raises:
-        InvalidInput: it is not finite, over `MOST`, or of another number of joints.
+        InvalidInput: it is not finite, over `MOST`, or of another number of joints or of hands.
     """
+    shape = (hand.nq,) if shape is None else shape
     expected = f"finite numbers, one or (..., {hand.nq}), of at most {MOST:.0e}"
     array = numbers(name, value, expected)
     if array.shape[-1:] not in ((), (hand.nq,)) or not (np.abs(array) <= MOST).all():
         raise InvalidInput(f"{name} is {shown(value)}; expected {expected}")
-    return array
+    if array.shape not in ((), (hand.nq,), shape):
+        raise InvalidInput(f"{name} has shape {array.shape}; expected {shape}")
+    return np.broadcast_to(array, shape)
 
 
 def _unit(vector: Floats) -> Floats:

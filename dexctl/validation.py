@@ -60,14 +60,23 @@ def check_kind(config: object, **kinds: type) -> None:
             raise InvalidInput(f"{name} is {value!r}; expected a {kind.__name__}")
 
 
-def check_mask(mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """``mask`` as an array of ``shape``; InvalidInput where it is not of bools of that shape."""
-    array = np.asarray(mask)
+def check_mask(
+    mask: ArrayLike, shape: tuple[int, ...] | None, name: str = "mask"
+) -> NDArray[np.bool_]:
+    """``mask`` as an array of ``shape``; InvalidInput where it is not of bools of that shape.
+
+    A shape of None is any.
+    """
+    try:
+        array: NDArray[Any] = np.asarray(mask)
+    except ValueError:  # rows of different lengths
+        array = np.asarray(None)
     if array.ndim == 0 and shape == (1,):  # one hand, kept as a batch of one
         array = array.reshape(1)
-    if array.dtype != bool or array.shape != shape:
+    if array.dtype != bool or shape not in (None, array.shape):
+        wanted = "bools" if shape is None else f"bools of shape {shape}"
         raise InvalidInput(
-            f"mask has shape {array.shape} and kind {array.dtype}; expected bools of shape {shape}"
+            f"{name} has shape {array.shape} and kind {array.dtype}; expected {wanted}"
         )
     return array
 

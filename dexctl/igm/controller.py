@@ -150,7 +150,7 @@ class InGraspManipulation(Controller):
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         parts = self._parts(saved, "reference", "odometry")
-        (count,) = batch_shape("odometry", parts["odometry"], "placed")
+        (count,) = batch_shape("odometry", parts["odometry"], "placed") or (0,)
         odometry = ContactOdometry(self.hand, self.control_period)
         odometry.start(count)
         odometry.load_state_dict(parts["odometry"])

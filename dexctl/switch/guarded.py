@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dexctl.configuration import HandConfiguration
+from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.switch.config import GuardedSwitchConfig
 from dexctl.switch.landing import Landing, round_the_axis, split, unit_across
 from dexctl.switch.paths import JointPath, SwingPaths
+from dexctl.validation import shown
 
 Indices = NDArray[np.intp]
 
@@ -108,8 +110,15 @@ class GuardedSwitch:
         (count,) = batch_shape("a guarded switch", saved, "phase") or (0,)
         self.start(count)
         fill("a guarded switch", self._arrays(), saved)
-        for row, path in saved["paths"].items():
-            self._paths[int(row)] = JointPath.loaded(path)
+        paths = saved["paths"]
+        rows = {str(row): row for row in range(count)}
+        if not isinstance(paths, Mapping) or not rows.keys() >= paths.keys():
+            raise InvalidInput(
+                f"paths in the saved state of a guarded switch is {shown(paths)}; expected paths "
+                f"by the numbers of {count} hands"
+            )
+        for row, path in paths.items():
+            self._paths[rows[row]] = JointPath.loaded(path)
 
     def clear(self, mask: Bools) -> None:
         """Idle again in the hands in ``mask``; their objects may be others."""

@@ -43,7 +43,7 @@ class JointPath(NamedTuple):
             InvalidInput: it is none.
         """
         parts: Mapping[str, Any] = check_names("a path", saved, cls._fields)
-        knots, joints = (np.shape(parts[name])[:1] for name in ("time", "joints"))
+        knots, joints = (getattr(parts[name], "shape", ())[:1] for name in ("time", "joints"))
         path = cls(np.zeros(joints, int), np.zeros(knots), np.zeros((*knots, *joints)))
         fill("a path", path._asdict(), parts)
         return path

@@ -121,7 +121,7 @@ class SwitchProfile:
             self._streams.reset(seed)
             self._finger[...] = -1
             return
-        chosen = check_mask(mask, np.shape(mask))
+        chosen = check_mask(mask, None)
         self._match(chosen.shape)
         self._finger[chosen] = -1
         self._streams.reset(seed, chosen)

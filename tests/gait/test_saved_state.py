@@ -158,7 +158,7 @@ def test_refuses_a_state_of_another_batch(all_makers, saved, loop, cube: Scene, 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_refuses_what_has_been_tampered_with(all_makers, saved, cube: Scene, name: str):
-    """Every array of it: missing, cut short, and of another kind."""
+    """Every part of it: missing, cut short, and of another kind."""
     controller = all_makers[name](cube.hand)
     tampered = list(spoilt(saved[name]))
     for state in tampered:
@@ -169,12 +169,15 @@ def test_refuses_what_has_been_tampered_with(all_makers, saved, cube: Scene, nam
 
 def spoilt(state: dict[str, Any]):
     for name, value in state.items():
+        if isinstance(value, str | dict):
+            for wrong in (np.zeros(3), [[1.0], [2.0, 3.0]], {"3": None}):
+                yield {**state, name: wrong}
         if isinstance(value, dict):
             for part in spoilt(value):
                 yield {**state, name: part}
         elif isinstance(value, np.ndarray) and name != "seed":
-            yield {**state, name: None}
-            yield {**state, name: np.zeros((1, 2, 5, 1))}
+            for wrong in (None, [[1.0], [2.0, 3.0]], np.zeros(()), np.zeros((1, 2, 5, 1))):
+                yield {**state, name: wrong}
             yield {**state, name: value.astype(complex)}
         if not name.isdigit():  # one row of the paths: with fewer, a state is as whole
             yield {other: state[other] for other in state if other != name}

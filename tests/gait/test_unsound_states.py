@@ -149,6 +149,16 @@ def test_what_is_asked_for_is_checked_too(dex5, name, batch):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_mask_that_is_none_is_refused_in_one_line(dex5, name):
+    controller = CONTROLLERS[name](dex5)
+    controller.act(held(dex5, (3,)))
+    for mask in (1.0, "all", [0.0, 1.0, 1.0], [[True], [True, False]]):
+        for seed in (None, 3):
+            with pytest.raises(InvalidInput, match="^mask has shape .*; expected bools"):
+                controller.reset(seed, mask)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
 def test_no_hand_at_all_is_a_batch(dex5, name):
     controller, state = CONTROLLERS[name](dex5), held(dex5, (3,))
     assert controller.act(state[:0]).shape == (0, dex5.nq)

@@ -47,7 +47,7 @@ def test_two_thousand_calls(dex5):
 
 @pytest.mark.slow
 def test_a_hundred_thousand_calls(dex5):
-    """About a minute of one core."""
+    """About 40 seconds of one core."""
     found = under_attack(dex5, 1, 100_000)
     assert found["answer"] > 50_000 and found["refused"] > 25_000
 

@@ -81,12 +81,13 @@ def test_what_is_no_real_number_names_the_field(name: str, kind: type) -> None:
 
 @pytest.mark.parametrize("value", [0.5, np.nan, 2, -1.0])
 def test_touch_is_bools_or_ones_and_zeros(value: float) -> None:
-    touch = np.zeros((4, 5))
+    touch: Any = np.zeros((4, 5))
     touch[1] = 1.0
-    assert GraspState(**(fields((4,)) | {"in_contact": touch})).in_contact[1].all()
+    values = fields((4,)) | {"in_contact": touch}
+    assert GraspState(**values).in_contact[1].all()
     touch[2, 0] = value
     with pytest.raises(InvalidInput, match=r"GraspState\.in_contact is .*; expected bools"):
-        GraspState(**(fields((4,)) | {"in_contact": touch}))
+        GraspState(**values)
 
 
 @pytest.mark.parametrize(
@@ -134,6 +135,12 @@ def test_without_takes_fingers_out_of_contact() -> None:
     off = np.array([1, 0, 1, 0, 0], bool)
     assert state.without(off).in_contact.tolist() == [False, True, False, True, True]
     assert state.in_contact[0], "the state itself does not change"
+
+
+@pytest.mark.parametrize("fingers", [None, 10**400, [0.0] * 5, [True] * 4, [[True], [True] * 2]])
+def test_fingers_taken_out_of_contact_are_bools(fingers: Any) -> None:
+    with pytest.raises(InvalidInput, match=r"fingers has shape .* expected bools of shape \(5,\)"):
+        GraspState(**fields()).without(fingers)
 
 
 def test_is_frozen() -> None:

@@ -148,12 +148,13 @@ def test_joints_that_cannot_be_are_refused_in_one_line(
 
 @pytest.mark.parametrize("value", ["x", None, [1.0, 2.0], 1.0, [[1.0], [1.0, 2.0]], {}])
 def test_what_is_no_joints_is_refused_in_one_line(dex5: HandModel, value: Any) -> None:
+    angles: Any = value or []
     for function in (dex5.configuration, dex5.clip):
         with pytest.raises(InvalidInput, match="^q ") as error:
             function(value)
         assert "\n" not in str(error.value)
     with pytest.raises(InvalidInput, match="^angles is .*; expected angles by"):
-        dex5.posture(value or [])
+        dex5.posture(angles)
 
 
 def test_clip_takes_what_has_an_order(dex5: HandModel) -> None:

@@ -190,6 +190,32 @@ def test_bad_input(hand: HandModel, given: dict[str, Any], message: str) -> None
         GraspState.from_joint_torques(hand, **arguments)
 
 
+@pytest.mark.parametrize("name", ["stiffness", "torque", "free_torque"])
+def test_of_one_joint_of_each_or_of_each_hand(hand: HandModel, name: str) -> None:
+    q = np.zeros((3, 15))
+    state = bare(hand, q, q)
+    touch = JointTouch(hand, 3.0)
+    given: dict[str, Any] = {"torque": 1.0} if name == "free_torque" else {}
+    for value in (0.5, np.full(15, 0.5), np.full((3, 15), 0.5)):
+        one = GraspState.from_joint_torques(hand, q, q, **{**given, name: value})
+        assert one.batch_shape == (3,) and np.isfinite(one.contact_force).all()
+    for shape in ((0, 15), (2, 15), (2, 3, 15)):
+        value = np.full(shape, 0.5)
+        with pytest.raises(InvalidInput, match=rf"{name} has shape .*; expected \(3, 15\)"):
+            GraspState.from_joint_torques(hand, q, q, **{**given, name: value})
+        if name != "stiffness":
+            with pytest.raises(InvalidInput, match=rf"{name} has shape .*; expected \(3, 15\)"):
+                touch(state, **{name: value})
+
+
+@pytest.mark.parametrize("name", ["switches", "mask"])
+def test_rows_of_different_lengths_are_no_mask(hand: HandModel, name: str) -> None:
+    wrong: Any = [[True], [True, False]]
+    state = bare(hand, np.zeros((3, 15)), np.zeros((3, 15)))
+    with pytest.raises(InvalidInput, match=f"{name} has shape .*; expected bools of shape"):
+        JointTouch(hand, 3.0)(state, **{name: wrong})
+
+
 def test_thresholds_in_the_wrong_order() -> None:
     with pytest.raises(InvalidInput, match="release_force is 0.5 N; expected at most touch_force"):
         TouchConfig(touch_force=0.4, release_force=0.5)
@@ -318,7 +344,7 @@ def test_what_is_not_finite_is_refused_and_not_remembered(hand: HandModel) -> No
         (lambda: touch(state, torque=torque[:14]), r"torque is .*; expected finite .*\(..., 15\)"),
         (lambda: touch(replace(state, q=q + np.nan), torque=torque), "q is .*; expected finite"),
         (lambda: touch(replace(state, q_target=q + np.nan)), "q_target is .*; expected finite"),
-        (lambda: touch(state, np.ones(4, bool), torque), r"mask has shape \(4,\)"),
+        (lambda: touch(state, np.ones(4, bool), torque), r"switches has shape \(4,\)"),
         (
             lambda: touch(state, torque=torque, mask=np.ones(2, bool)),
             r"expected bools of shape \(\)",
