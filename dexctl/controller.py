@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from math import isfinite
@@ -15,7 +16,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
 from dexctl.saved import check_names
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import shown
+from dexctl.validation import number, shown
 
 UNIT_TOLERANCE = 0.02
 """Of the squared length of normals and quaternions."""
@@ -51,13 +52,12 @@ class Controller(ABC):
     def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:
         if not isinstance(hand, HandModel):
             raise InvalidInput(
-                f"hand is {hand!r}; expected a HandModel, such as dexctl.hands.load('dex5')"
+                f"hand is {shown(hand)}; expected a HandModel, such as dexctl.hands.load('dex5')"
             )
-        number = isinstance(control_period, (int, float, np.number))
-        if not (number and np.isfinite(control_period) and control_period > 0):
-            raise InvalidInput(f"control_period is {control_period!r}; expected seconds above 0")
         self.hand = hand
-        self.control_period = float(control_period)
+        self.control_period = number(
+            "control_period", control_period, 0.0, sys.float_info.max, "seconds above 0", above=True
+        )
         self._diagnostics: dict[str, Any] = {}
 
     @abstractmethod
@@ -142,8 +142,8 @@ class Superposition(Controller):
     """The sum of several controllers' actions (thesis chapter 4, psi_FG = psi_IGM + psi_CS)."""
 
     def __init__(self, controllers: Sequence[Controller]) -> None:
-        if not controllers:
-            raise InvalidInput("Superposition got no controllers; expected at least one")
+        if not isinstance(controllers, Sequence) or not controllers:
+            raise InvalidInput(f"controllers is {shown(controllers)}; expected at least one")
         hand = getattr(controllers[0], "hand", None)  # one that is none has no hand: it is refused
         period = check_parts(hand, {f"controller {i}": c for i, c in enumerate(controllers)})
         super().__init__(controllers[0].hand, control_period=period)

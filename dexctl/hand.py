@@ -464,8 +464,10 @@ def _offsets(path: Path, fingertips: Sequence[str] | Mapping[str, ArrayLike]) ->
 
 def _names(path: Path, what: str, given: Any, expected: str) -> tuple[str, ...]:
     """``given`` as names, one and more."""
-    listed = isinstance(given, Iterable) and not isinstance(given, (str, bytes))
-    names: tuple[Any, ...] = tuple(given) if listed else ()
+    try:
+        names: tuple[Any, ...] = () if isinstance(given, (str, bytes)) else tuple(given)
+    except TypeError:
+        names = ()
     if not names or not all(isinstance(name, str) for name in names):
         raise HandModelError(f"{path}: {what} is {shown(given)}; expected {expected}")
     return names

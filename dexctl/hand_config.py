@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ import numpy as np
 
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.state import Floats
-from dexctl.validation import numbers
+from dexctl.validation import number, numbers, shown
 
 if TYPE_CHECKING:
     from dexctl.hand import HandModel
@@ -22,6 +23,28 @@ MENAGERIE = "menagerie:"
 
 Vector3 = tuple[float, float, float]
 ByJoint = float | dict[str, float] | None
+
+
+def _check(
+    name: str,
+    value: object,
+    expected: str,
+    low: float = -sys.float_info.max,
+    *,
+    above: bool = False,
+) -> None:
+    """Raise HandModelError where ``value`` is no number from ``low`` on, or above it."""
+    try:
+        number(name, value, low, sys.float_info.max, expected, above=above)
+    except InvalidInput as error:
+        raise HandModelError(str(error)) from None
+
+
+def _mapping(name: str, value: Any) -> Mapping[str, Any]:
+    """``value``; HandModelError where it is not by names."""
+    if not isinstance(value, Mapping):
+        raise HandModelError(f"{name} is {shown(value)}; expected values by names")
+    return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +59,14 @@ class PalmConfig:
 
     def __post_init__(self) -> None:
         for name in ("axis", "up"):
-            vector = np.asarray(getattr(self, name), float)
+            try:
+                vector = numbers(name, getattr(self, name), "")
+            except InvalidInput:
+                vector = np.zeros(0)
             if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
                 raise HandModelError(
-                    f"palm.{name} is {getattr(self, name)!r}; expected three finite numbers, not "
-                    "all zero"
+                    f"palm.{name} is {shown(getattr(self, name))}; expected three finite numbers, "
+                    "not all zero"
                 )
         axis, up = (np.asarray(v, float) / np.linalg.norm(v) for v in (self.axis, self.up))
         if np.linalg.norm(np.cross(axis, up)) < 1e-3:
@@ -77,10 +103,9 @@ class ServoConfig:
             value = getattr(self, name)
             table = value if isinstance(value, Mapping) else {} if value is None else {"": value}
             for joint, one in table.items():
-                if not (np.isfinite(one) and one >= 0 and (one > 0 or name == "damping")):
-                    where = f"servos.{name}" + (f".{joint}" if joint else "")
-                    least = "0 or more" if name == "damping" else "above 0"
-                    raise HandModelError(f"{where} is {one!r}; expected a finite number {least}")
+                where = f"servos.{name}" + (f".{joint}" if joint else "")
+                least = "0 or more" if name == "damping" else "above 0"
+                _check(where, one, f"a finite number {least}", 0.0, above=name != "damping")
 
     def of(self, name: str, joints: Sequence[str], default: Floats | float = np.nan) -> Floats:
         """One of the settings for each of ``joints`` ``(d,)``, ``default`` where nothing is said.
@@ -111,11 +136,8 @@ class PostureConfig:
 
     def __post_init__(self) -> None:
         for name in ("open", "grasp"):
-            for joint, angle in getattr(self, name).items():
-                if not (isinstance(angle, int | float | np.number) and np.isfinite(angle)):
-                    raise HandModelError(
-                        f"postures.{name}.{joint} is {angle!r}; expected a finite number [rad]"
-                    )
+            for joint, angle in _mapping(f"postures.{name}", getattr(self, name)).items():
+                _check(f"postures.{name}.{joint}", angle, "a finite number [rad]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,8 +184,8 @@ class Coupling:
     """[rad]"""
 
     def __post_init__(self) -> None:
-        if not np.isfinite([self.scale, self.offset]).all():
-            raise HandModelError(f"a coupling has {self.scale} and {self.offset}; expected numbers")
+        for name in ("scale", "offset"):
+            _check(f"the {name} of a coupling", getattr(self, name), "a finite number")
         if not self.joint and self.scale != 1.0:
             raise HandModelError(f"a coupling has the scale {self.scale:g}, but lacks joint")
 
@@ -206,10 +228,8 @@ class HandConfig:
         if not self.name:
             object.__setattr__(self, "name", self.description.stem)
         for name in ("fingertip_radius", "finger_width"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise HandModelError(f"{name} is {value!r}; expected a finite number, 0 or more")
-        if not self.fingertips:
+            _check(name, getattr(self, name), "a finite number, 0 or more", 0.0)
+        if not _mapping("fingertips", self.fingertips):
             raise HandModelError("fingertips is empty; expected one body, site or link per finger")
         tips = {tip: self._offset(tip, offset) for tip, offset in self.fingertips.items()}
         object.__setattr__(self, "fingertips", tips)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, ClassVar, Protocol, TypeVar, cast
 
@@ -32,15 +32,16 @@ def check_numbers(
     ):
         for name in names:
             value = getattr(config, name)
-            number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-            if not (number and np.isfinite(value) and low <= value <= high):
-                raise InvalidInput(f"{name} is {value!r}; expected {wanted}")
+            found = None if isinstance(value, np.ndarray) else _real(value)
+            if found is None or not (np.isfinite(found) and low <= found <= high):
+                raise InvalidInput(f"{name} is {shown(value)}; expected {wanted}")
 
 
 def check_name(what: str, value: object, known: Sequence[object]) -> None:
     """Raise UnknownName where ``value`` is none of those known."""
-    if value not in known:
-        raise UnknownName(what, str(value), [str(one) for one in known])
+    if not isinstance(value, Hashable) or value not in known:  # arrays are equal to nothing
+        said = value if isinstance(value, str) else shown(value)
+        raise UnknownName(what, said, [str(one) for one in known])
 
 
 def check_whole(config: object, **least: int) -> None:
@@ -49,7 +50,7 @@ def check_whole(config: object, **least: int) -> None:
         value = getattr(config, name)
         whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
         if not (whole and value >= low):
-            raise InvalidInput(f"{name} is {value!r}; expected a whole number from {low} on")
+            raise InvalidInput(f"{name} is {shown(value)}; expected a whole number from {low} on")
 
 
 def check_kind(config: object, **kinds: type) -> None:
@@ -57,7 +58,7 @@ def check_kind(config: object, **kinds: type) -> None:
     for name, kind in kinds.items():
         value = getattr(config, name)
         if not isinstance(value, kind):
-            raise InvalidInput(f"{name} is {value!r}; expected a {kind.__name__}")
+            raise InvalidInput(f"{name} is {shown(value)}; expected a {kind.__name__}")
 
 
 def check_mask(
@@ -118,16 +119,23 @@ def number(
     Raises:
         InvalidInput: it is none; the message says what is ``wanted``.
     """
-    kind = isinstance(value, (int, float, np.number)) or (
-        isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind in "iuf"
-    )
-    try:
-        found = float(value) if kind and not isinstance(value, (bool, np.complexfloating)) else None  # type: ignore[arg-type]
-    except OverflowError:  # an integer too large
-        found = None
+    found = _real(value)
     if found is None or not low <= found <= high or (above and found == low):
         raise InvalidInput(f"{name} is {shown(value)}; expected {wanted}")
     return found
+
+
+def _real(value: object) -> float | None:
+    """A real number, or an array of no dimensions that holds one; None where it is none."""
+    kind = isinstance(value, (int, float, np.number)) or (
+        isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind in "iuf"
+    )
+    if not kind or isinstance(value, (bool, np.complexfloating)):
+        return None
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except OverflowError:  # an integer too large
+        return None
 
 
 def numbers(name: str, value: ArrayLike, expected: str) -> NDArray[np.float64]:
@@ -159,8 +167,8 @@ def check_vector(
             ``expected``.
     """
     try:
-        array = np.asarray(cast(Any, value), float)
-    except (TypeError, ValueError):
+        array = numbers(name, cast(Any, value), "")
+    except InvalidInput:  # said in other words below
         array = np.empty(0)
     if array.shape != (size,) or not np.isfinite(array).all():
         expected = f"{size} finite numbers" if expected is None else expected
@@ -204,7 +212,7 @@ def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
     found = numbers(name, value, "a unit quaternion, wxyz")
     length = np.linalg.norm(found, axis=-1) if found.ndim and found.shape[-1] == 4 else np.nan
     if not np.all(np.abs(length - 1.0) <= 0.01):
-        raise InvalidInput(f"{name} is {shown_numbers(value)}; expected a unit quaternion, wxyz")
+        raise InvalidInput(f"{name} is {shown_numbers(found)}; expected a unit quaternion, wxyz")
     return found / np.asarray(length)[..., None]
 
 
@@ -239,12 +247,12 @@ def unit_axis(axis: object) -> tuple[float, float, float]:
             raise UnknownName("axis", axis, [*AXES, "a vector x,y,z"])
         return AXES[axis]
     try:
-        vector = np.asarray(axis, float)
-    except (TypeError, ValueError):
+        vector = numbers("axis", cast(Any, axis), "")
+    except InvalidInput:  # said in other words below
         vector = np.zeros(0)
     length = np.linalg.norm(vector) if vector.shape == (3,) else 0.0
     if not (np.isfinite(length) and length > 0):
-        raise InvalidInput(f"axis is {axis!r}; expected three finite numbers, not all zero")
+        raise InvalidInput(f"axis is {shown(axis)}; expected three finite numbers, not all zero")
     x, y, z = (vector / length).tolist()
     return x, y, z
 
@@ -283,7 +291,7 @@ def with_changes(
     if config is None:
         config = kind()
     if not isinstance(config, kind):
-        raise InvalidInput(f"config is {config!r}; expected a {kind.__name__}, or None")
+        raise InvalidInput(f"config is {shown(config)}; expected a {kind.__name__}, or None")
     check_settings(kind, changes, CONSTRUCTOR)
     changed = cast(Any, replace(config, **changes))
     return changed if axis is None else changed.about(axis)

@@ -159,6 +159,10 @@ def test_numbers_of_any_kind_pass():
         ("speed", "1", "a finite number above 0"),
         ("speed", None, "a finite number above 0"),
         ("speed", True, "a finite number above 0"),
+        ("speed", 10**400, "a finite number above 0"),
+        ("speed", np.complex128(1.0), "a finite number above 0"),
+        ("speed", np.ones(3), "a finite number above 0"),
+        ("speed", np.datetime64(1, "s"), "a finite number above 0"),
         ("gain", -1e-9, "a finite number, 0 or more"),
         ("gain", [1.0], "a finite number, 0 or more"),
         ("share", 1.01, "a number from 0 to 1"),
@@ -171,11 +175,15 @@ def test_other_numbers_are_named(field, value, expected):
         check(Settings(**{field: value}))
     message = str(caught.value)
     assert message.startswith(f"{field} is ") and message.endswith(f"expected {expected}")
+    assert len(message) < 150
 
 
 def test_twists():
     check_twist((0, 0, 0, 0, 0, 1))
     check_twist(np.zeros(6))
-    for bad in (np.zeros((1, 6)), [0.0] * 5 + [np.nan], "twist", {}, [0, 0, 0, 0, 0, "x"]):
+    for bad in (
+        np.zeros((1, 6)), [0.0] * 5 + [np.nan], "twist", {}, [0, 0, 0, 0, 0, "x"],
+        np.zeros(6) + 0j, 10**400, [[0.0], [0.0] * 5],
+    ):  # fmt: skip
         with pytest.raises(InvalidInput, match="six finite numbers"):
             check_twist(bad)

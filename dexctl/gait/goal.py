@@ -24,7 +24,14 @@ from dexctl.rotations import (
 from dexctl.saved import batch_shape, check_names, copies, fill
 from dexctl.state import Floats, GraspState
 from dexctl.switch.landing import split
-from dexctl.validation import check_kind, check_mask, check_numbers, unit_quaternion, with_changes
+from dexctl.validation import (
+    check_kind,
+    check_mask,
+    check_numbers,
+    numbers,
+    unit_quaternion,
+    with_changes,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,10 +205,20 @@ class GoalGait(BatchController):
         Args:
             position: ``(N, 3)`` [m].
             quaternion: wxyz ``(N, 4)``.
+
+        Raises:
+            InvalidInput: they are not of so many hands.
         """
-        if len(self._known) != len(position):
-            self._start(len(position))
-        self._place, self._upright = position.copy(), quaternion.copy()
+        place = numbers("position", position, "(N, 3) [m]")
+        upright = numbers("quaternion", quaternion, "(N, 4), wxyz")
+        if place.ndim != 2 or place.shape[1] != 3 or upright.shape != (len(place), 4):
+            raise InvalidInput(
+                f"position and quaternion have shapes {place.shape} and {upright.shape}; expected "
+                "(N, 3) and (N, 4)"
+            )
+        if len(self._known) != len(place):
+            self._start(len(place))
+        self._place, self._upright = place.copy(), upright.copy()
         self._known = np.ones_like(self._known)
 
     def _meet(self, now: Floats, place: Floats) -> None:

@@ -9,7 +9,14 @@ import numpy as np
 
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
-from dexctl.validation import check_kind, check_numbers, check_settings, check_twist, unit_axis
+from dexctl.validation import (
+    check_kind,
+    check_numbers,
+    check_settings,
+    check_twist,
+    shown,
+    unit_axis,
+)
 
 ENGINES = ("auto", "compiled", "plain")
 
@@ -98,8 +105,10 @@ class InGraspManipulationConfig:
             check_numbers(self, positive=("length",))
         if self.regulariser and self.regulariser < 1e-6:
             raise InvalidInput(f"regulariser is {self.regulariser}; expected 0, or 1e-6 and more")
-        if self.engine not in ENGINES:
-            raise InvalidInput(f"engine is {self.engine!r}; expected one of {', '.join(ENGINES)}")
+        if not isinstance(self.engine, str) or self.engine not in ENGINES:
+            raise InvalidInput(
+                f"engine is {shown(self.engine)}; expected one of {', '.join(ENGINES)}"
+            )
 
     @classmethod
     def suiting(cls, hand: HandModel) -> InGraspManipulationConfig:

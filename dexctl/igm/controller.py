@@ -20,7 +20,7 @@ from dexctl.igm.regulation import Reference
 from dexctl.igm.step import StepInput, StepResult
 from dexctl.saved import batch_shape
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import check_mask, with_changes
+from dexctl.validation import check_mask, numbers, with_changes
 
 _NO_ROWS = np.empty((0, 0))
 
@@ -135,7 +135,8 @@ class InGraspManipulation(Controller):
         Raises:
             InvalidInput: another number of hands than it is at work with.
         """
-        place, pose = np.asarray(position, float), np.asarray(quaternion, float)
+        place = numbers("position", position, "(N, 3) or (3,) [m]")
+        pose = numbers("quaternion", quaternion, "(N, 4) or (4,), wxyz")
         if place.shape[-1:] != (3,) or pose.shape != (*place.shape[:-1], 4) or place.ndim > 2:
             raise InvalidInput(
                 f"position and quaternion have shapes {place.shape} and {pose.shape}; expected "

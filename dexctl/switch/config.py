@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypedDict
 
 from dexctl.exceptions import InvalidInput
-from dexctl.validation import check_kind, check_numbers, unit_axis
+from dexctl.validation import check_kind, check_numbers, shown, unit_axis
 
 PATHS = ("jacobian", "planned")
 KINDS = ("profile", "guarded")
@@ -48,8 +48,8 @@ class GuardedSwitchConfig:
     """Of the finger's damped least-squares inverse [m]."""
 
     def __post_init__(self) -> None:
-        if self.path not in PATHS:
-            raise InvalidInput(f"path is {self.path!r}; expected one of {', '.join(PATHS)}")
+        if not isinstance(self.path, str) or self.path not in PATHS:
+            raise InvalidInput(f"path is {shown(self.path)}; expected one of {', '.join(PATHS)}")
         check_numbers(
             self,
             positive=(
@@ -104,8 +104,8 @@ class ContactSwitchConfig:
     """Guarded set-points stay this close to the measured joints [rad]."""
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InvalidInput(f"kind is {self.kind!r}; expected one of {', '.join(KINDS)}")
+        if not isinstance(self.kind, str) or self.kind not in KINDS:
+            raise InvalidInput(f"kind is {shown(self.kind)}; expected one of {', '.join(KINDS)}")
         check_numbers(
             self,
             positive=(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dexctl import GraspState, HandModel, InvalidInput
+from dexctl import GraspState, HandModel, InGraspManipulation, InvalidInput
 from dexctl.gait import CoordinatedGait, GoalGait
 from dexctl.gait.goal import shortened, split_turn
 from dexctl.rotations import from_rotation_vector, inverse, multiply, rotation_vector
@@ -148,6 +148,16 @@ def test_a_batch_is_as_each_alone_and_continues_to_the_bit(cylinder: Scene) -> N
 def test_bad_settings(dex5: HandModel, settings: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
         GoalGait(dex5, **settings)
+
+
+@pytest.mark.parametrize("make", [GoalGait, InGraspManipulation])
+def test_a_reference_that_is_no_pose(dex5: HandModel, make: Any) -> None:
+    place, upright = np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
+    for wrong in (None, "x", 10**400, np.zeros((2, 2)), np.zeros((4, 3)) + 1j):
+        for arguments in ((wrong, upright), (place, wrong)):
+            with pytest.raises(InvalidInput, match="^(position|quaternion) ") as error:
+                make(dex5).refer_to(*arguments)
+            assert "\n" not in str(error.value)
 
 
 def test_a_goal_needs_the_objects_pose(cylinder: Scene) -> None:

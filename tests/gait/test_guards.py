@@ -173,6 +173,9 @@ def test_one_leading_dimension_at_most(make, cylinder, settled):
 
 
 def test_settings_of_the_wrong_kind(dex5):
+    for axis in (10**400, 1j, np.ones(3) + 0j, {}):
+        with pytest.raises(InvalidInput, match="^axis is .*; expected three finite numbers"):
+            FingerGaiting(dex5, axis=axis)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="^axis is"):
         ContactSwitchConfig(axis=("a", "b", "c"))  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="^switch is 3; expected a GuardedSwitchConfig"):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -173,6 +175,25 @@ def test_what_is_wrong_is_named(
     with pytest.raises(error, match=message) as caught:
         HandModel.load(toml(tmp_path, text))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["x", 1j, np.zeros(3) + 0j, 10**400, [[1.0], [1.0, 2.0]]])
+def test_what_is_no_number_is_named_where_code_gives_it(value: Any) -> None:
+    given = dict(description=Path("two.xml"), fingertips={"a_tip": (0.0, 0.0, 0.0)})
+    calls: dict[str, Callable[[], object]] = {
+        "palm.axis": lambda: PalmConfig(axis=value),
+        "servos.effort": lambda: ServoConfig(effort=value),
+        "servos.effort.a_j1": lambda: ServoConfig(effort={"a_j1": value}),
+        "postures.open": lambda: PostureConfig(open=value),
+        "postures.open.a_j1": lambda: PostureConfig(open={"a_j1": value}),
+        "the scale of a coupling": lambda: Coupling(joint="a_j1", scale=value),
+        "fingertip_radius": lambda: HandConfig(**{**given, "fingertip_radius": value}),
+        "fingertips": lambda: HandConfig(**{**given, "fingertips": value}),
+    }
+    for name, call in calls.items():
+        with pytest.raises(HandModelError, match=f"^{name} is .*; expected") as error:
+            call()
+        assert "\n" not in str(error.value) and len(str(error.value)) < 200
 
 
 def test_a_toml_without_description_and_a_missing_file(tmp_path: Path) -> None:

@@ -159,14 +159,28 @@ def test_pickled_and_read_again(hand: HandModel) -> None:
 
 
 @pytest.mark.parametrize(
-    "tips", [[], (), {}, "a_tip", None, 2, b"a_tip", [None], ["a_tip", 2], [["a_tip"]], {2: "x"}]
+    "tips",
+    [
+        [],
+        (),
+        {},
+        "a_tip",
+        None,
+        2,
+        b"a_tip",
+        np.zeros(()),
+        [None],
+        ["a_tip", 2],
+        [["a_tip"]],
+        {2: "x"},
+    ],
 )
 def test_no_list_of_fingertips_is_an_error(hand: HandModel, tips: list[str]) -> None:
     with pytest.raises(HandModelError, match="expected a list of body or site names"):
         HandModel.from_mjcf(hand.path, tips)
 
 
-@pytest.mark.parametrize("joints", [[], 3, "wrist", [None], [["wrist"]]])
+@pytest.mark.parametrize("joints", [[], 3, np.zeros(()), "wrist", [None], [["wrist"]]])
 def test_no_list_of_joints_is_an_error(hand: HandModel, joints: Any) -> None:
     with pytest.raises(HandModelError, match="joints is .*; expected joint names"):
         HandModel.from_mjcf(hand.path, ["a_tip", "b_tip"], joints=joints)
