@@ -24,7 +24,7 @@ from dexctl.description import Description, Joint, Mimic, read_mjcf, read_urdf
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.hand_config import HandConfig, Vector3
 from dexctl.state import Bools, Floats
-from dexctl.validation import number, numbers, shown
+from dexctl.validation import check_seed, number, numbers, shown
 
 Item = TypeVar("Item")
 MOST_JOINTS = 256
@@ -491,6 +491,11 @@ def _unique(items: Iterable[Item]) -> list[Item]:
 
 
 def random_configurations(hand: HandModel, count: int, seed: int) -> NDArray[np.float64]:
-    """``count`` joint vectors ``(count, d)``, uniform within the limits (pi where infinite)."""
+    """``count`` joint vectors ``(count, d)``, uniform within the limits (pi where infinite).
+
+    Raises:
+        InvalidInput: ``seed`` is no whole number from 0 on.
+    """
     lower, upper = np.maximum(hand.lower, -np.pi), np.minimum(hand.upper, np.pi)
-    return np.random.default_rng(seed).uniform(lower, upper, (count, hand.nq))
+    rng = np.random.default_rng(check_seed(seed, 0))
+    return rng.uniform(lower, upper, (count, hand.nq))

@@ -17,6 +17,7 @@ from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
 from dexctl.hand_config import HandConfig, HeldObject, ServoConfig
+from dexctl.validation import check_seed
 
 if TYPE_CHECKING:
     from dexctl.hand import HandModel
@@ -70,6 +71,7 @@ class Add:
             raise InvalidInput(f"--out is {str(out)!r}; expected the name of a .toml file")
         if out.exists() and not self.replace:
             raise InvalidInput(f"{out} is there already; give another --out, or --replace")
+        check_seed(self.seed, 0)
         make_folder(out.parent)
         for option, value, unit in (
             ("size", self.object_size, "a width in metres"),

@@ -243,9 +243,10 @@ class Scene:
                 direction counts. Default: a turn about z.
             count: how many grasps that hold both ways are enough.
             tries: how many are settled, at most.
-            seed: of the search.
+            seed: of the search, 0 or more.
 
         Raises:
+            InvalidInput: a value is out of range.
             SettleFailure: none holds; with the attempts of the best.
             SimulationError: no place is in reach of three fingers with palm and links clear.
         """

@@ -30,6 +30,7 @@ from dexctl.sim.shapes import Shape
 from dexctl.sim.tactile import TouchSensors
 from dexctl.sim.workspace import Workspace
 from dexctl.state import Floats
+from dexctl.validation import check_seed
 
 HOLDING_TIME = 10.0
 """How long a suggested grasp is to hold after it has settled [s]."""
@@ -132,6 +133,7 @@ def suggest(
     }  # fmt: skip
     checks.count("count", count)
     checks.count("tries", tries)
+    seed = check_seed(seed, 0)
     if object_size is not None:
         checks.positive("object_size", object_size)
     wanted = checks.vector("twist", twist, 6)

@@ -55,6 +55,7 @@ def test_add_without_a_grasp(
         ("RING --object-size -1", 2, "--object-size is -1"),
         ("RING --object-mass 0", 2, "--object-mass is 0.0; expected kilograms above 0"),
         ("RING --base arm", 2, "unknown body 'arm'; known: mount, palm"),
+        ("RING --seed -1", 2, "seed is -1; expected a whole number from 0 on"),
     ],
 )
 def test_what_add_refuses(
@@ -71,6 +72,7 @@ def test_what_add_refuses(
     lines = capsys.readouterr().err.splitlines()
     assert said in lines[-1]
     assert Path("there.toml").read_text() == "mine"
+    assert not Path("ring.toml").exists()
 
 
 def test_check_by_name(capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,6 +99,8 @@ def test_checks_that_fail(dex5: dexctl.HandModel, capsys: pytest.CaptureFixture[
     assert not found["holds, palm up"].good
     assert main(["hands", "check", "nobody"]) == 2
     assert "unknown hand 'nobody'; known: dex5" in capsys.readouterr().err
+    assert main(["hands", "check", "dex5", "--seed", "-1"]) == 2
+    assert "seed is -1; expected a whole number from 0 on" in capsys.readouterr().err
 
 
 def test_the_list_still_has_its_own_command(capsys: pytest.CaptureFixture[str]) -> None:

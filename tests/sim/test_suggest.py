@@ -202,6 +202,9 @@ def test_size_and_place_that_are_given_are_kept(bare: HandModel) -> None:
 def test_suggestions_say_what_they_want(bare: HandModel, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="twist is all zero"):
         Scene.suggest_grasp(bare, "cube", twist=np.zeros(6))
+    for seed in (-1, "a"):
+        with pytest.raises(InvalidInput, match=f"seed is {seed!r}; expected a whole number from 0"):
+            Scene.suggest_grasp(bare, "cube", seed=seed)  # type: ignore[arg-type]
     with pytest.raises(SimulationError, match="no place, size and posture found"):
         Scene.suggest_grasp(bare, "cube", object_size=2.0)
     with pytest.raises(UnknownName, match="known: ffj0, ffj1"):
