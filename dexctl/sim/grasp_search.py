@@ -28,6 +28,7 @@ _LEAST_FORCE = 0.3  # what every finger presses with, as a share of the stronges
 _SIZES = (0.3, 0.65)  # widths that suit a hand, over the length of its fingers
 _LEAST_LIFTED = 0.1  # the same while one is lifted
 _LEAST_EASE = 0.02  # of a finger's posture
+_EASY = 0.15  # margin of postures that places are drawn amid
 _STARTS = 12  # best places whose surroundings are searched
 
 
@@ -149,7 +150,9 @@ class GraspSearch:
         space = self.workspace
         centres, sizes = self.centre, self.size
         # amid the tips of random postures that are far from limits
-        easy = [np.flatnonzero(space.margin[:, f] > 0.15) for f in range(space.tips.shape[1])]
+        easy = [np.flatnonzero(margin > _EASY) for margin in space.margin.T]
+        if not any(map(len, easy)):  # of very many joints one is always near its limits
+            easy = [np.argsort(-margin)[: max(1, len(margin) // 10)] for margin in space.margin.T]
         picks = np.array([rng.choice(rows, count) for rows in easy if len(rows)])
         fingers = [f for f, rows in enumerate(easy) if len(rows)]
         tips = np.array([space.tips[rows, f] for f, rows in zip(fingers, picks, strict=True)])

@@ -248,7 +248,8 @@ class Scene:
         Raises:
             InvalidInput: a value is out of range.
             SettleFailure: none holds; with the attempts of the best.
-            SimulationError: no place is in reach of three fingers with palm and links clear.
+            SimulationError: no place is in reach of three fingers (of both, where the hand has
+                two) with palm and links clear.
         """
         from dexctl.sim.suggest import suggest
 

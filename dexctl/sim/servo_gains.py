@@ -99,6 +99,9 @@ def _inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
     """The mass matrix' diagonal for the d joints, armature included."""
     joints, data, full = HandJoints(model, hand), mujoco.MjData(model), np.zeros((model.nv,) * 2)
     joints.place(data, q)
-    mujoco.mj_forward(model, data)
+    mujoco.mj_kinematics(model, data)  # no contacts: links may lie in each other in this posture
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_tendon(model, data)
+    mujoco.mj_makeM(model, data)
     mujoco.mj_fullM(model, data, full)
     return np.diag(joints.expand.T @ full @ joints.expand).copy()

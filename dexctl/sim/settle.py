@@ -74,9 +74,17 @@ def settle(scene: Scene, *, thorough: bool = True) -> SettledGrasp:
 
     Raises:
         SettleFailure: the object does not stay in the hand, whichever way it is turned.
+        SimulationError: MuJoCo cannot step the scene.
     """
     key = (thorough, *_fingerprint(scene))
-    found = _kept.pop(key, None) or _settled(scene, thorough)
+    try:
+        found = _kept.pop(key, None) or _settled(scene, thorough)
+    except mujoco.FatalError as error:  # every simulation of a scene begins here
+        why = " ".join(str(error).split())
+        raise SimulationError(
+            f"{scene.hand.path}: MuJoCo cannot step the hand: {why}; expected links that lie in "
+            "few others"
+        ) from None
     _kept[key] = found  # the last again
     if len(_kept) > _KEPT:
         _kept.popitem(last=False)

@@ -20,7 +20,7 @@ from dexctl.hand import HandModel
 from dexctl.hand_config import HandConfig, HeldObject, PostureConfig
 from dexctl.sim import checks
 from dexctl.sim.grasp_score import GraspScore, Ranked, ranked
-from dexctl.sim.grasp_search import GraspSearch
+from dexctl.sim.grasp_search import LEAST_FINGERS, GraspSearch
 from dexctl.sim.no_grasp import explained
 from dexctl.sim.objects import MESH
 from dexctl.sim.scene import Scene
@@ -139,11 +139,16 @@ def suggest(
     wanted = checks.vector("twist", twist, 6)
     if not wanted.any():
         raise InvalidInput("twist is all zero; expected the direction in which to move the object")
+    if hand.n_fingers < 2:
+        raise SimulationError(
+            f"{hand.name}: 1 finger, {hand.fingertip_names[0]}; expected 2 or more to hold a {name}"
+        )
     search = _search(hand, name, object_size, grasp_centre, wanted, seed, options)
     best = ranked(search)
     if best is None or not len(best.score):
+        needed = min(LEAST_FINGERS, hand.n_fingers)
         raise SimulationError(
-            f"{hand.name}: no place, size and posture found in which three fingertips touch a "
+            f"{hand.name}: no place, size and posture found in which {needed} fingertips touch a "
             f"{name} with palm and links clear of it; {explained(search)}"
         )
     held: list[SuggestedGrasp] = []

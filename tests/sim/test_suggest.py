@@ -199,6 +199,37 @@ def test_size_and_place_that_are_given_are_kept(bare: HandModel) -> None:
     np.testing.assert_array_equal(found[0].centre, centre)
 
 
+def test_a_finger_of_very_many_joints_is_refused_in_one_line(tmp_path: Path) -> None:
+    """In every drawn posture one joint is near its limits, and most links lie in others."""
+    links = 120
+    text = "".join(
+        f'<body name="b{i}" pos="0 0 0.01"><joint name="j{i}" axis="1 0 0" range="0 1"/>'
+        '<geom size="0.006"/>'
+        for i in range(links)
+    )
+    path = tmp_path / "chain.xml"
+    ends = "</body>" * links + "</worldbody></mujoco>"
+    path.write_text(f'<mujoco><compiler angle="radian"/><worldbody>{text}{ends}')
+    chain = HandModel.from_mjcf(path, [f"b{links - 1}"])
+    with pytest.raises(SimulationError, match="chain: 1 finger, b119; expected 2 or more"):
+        Scene.build(chain, "sphere")
+    search = search_of(chain, "sphere")
+    assert len(search.drawn(5, np.random.default_rng(0))) == 5
+    search.run(5, 2)
+
+
+def test_what_mujoco_cannot_step_is_said_in_one_line(
+    dex5: HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise mujoco.FatalError("mj_stackAlloc: out of memory,\n stack overflow")
+
+    monkeypatch.setattr(mujoco, "mj_step", full)
+    scene = Scene.build(dex5, "cube", object_size=0.0512)  # which no other test has settled
+    with pytest.raises(SimulationError, match="dex5.xml: MuJoCo cannot step the hand: mj_stack"):
+        scene.settled  # noqa: B018
+
+
 def test_suggestions_say_what_they_want(bare: HandModel, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="twist is all zero"):
         Scene.suggest_grasp(bare, "cube", twist=np.zeros(6))
