@@ -89,7 +89,6 @@ class Add:
         held = replace(proposal.config.object, mass=self.object_mass)
         config = replace(proposal.config, name=out.stem, object=held)
         hand = config.build()
-        config.write(out, reasons)  # what is known so far, whatever comes of the grasp
         console = notes()
         console.print(f"dexctl: {hand.n_fingers} fingers, {hand.nq} joints")
         failure, scene = None, None
@@ -101,7 +100,7 @@ class Add:
                 failure = error
                 console.print(f"dexctl: no grasp: {error}")
                 scene = getattr(error, "scene", None)
-            config.write(out, reasons)
+        config.write(out, reasons)  # whole: one that is interrupted before leaves none
         pictures = _draw(out, hand, scene, config, reasons, failure)
         rows = list(guesses(config, reasons))
         found = {

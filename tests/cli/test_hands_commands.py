@@ -12,6 +12,7 @@ import pytest
 import dexctl
 from dexctl.cli import main
 from dexctl.cli.hand_checks import check_hand
+from dexctl.cli.hands_add import Add
 from dexctl.exceptions import SimulationError
 from dexctl.hand_config import HandConfig, HeldObject
 from dexctl.sim.offscreen import opengl_backend
@@ -73,6 +74,22 @@ def test_what_add_refuses(
     assert said in lines[-1]
     assert Path("there.toml").read_text() == "mine"
     assert not Path("ring.toml").exists()
+
+
+def test_add_that_is_interrupted_leaves_no_toml_and_an_earlier_one_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Add, "_with_grasp", interrupted)
+    monkeypatch.chdir(tmp_path)
+    Path("there.toml").write_text("mine")
+    assert main(["hands", "add", str(RING), "--out", "mine.toml"]) == 130
+    assert main(["hands", "add", str(RING), "--out", "there.toml", "--replace"]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "dexctl: interrupted"
+    assert [one.name for one in tmp_path.iterdir()] == ["there.toml"]
+    assert Path("there.toml").read_text() == "mine"
 
 
 def test_check_by_name(capsys: pytest.CaptureFixture[str]) -> None:
