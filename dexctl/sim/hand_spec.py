@@ -49,14 +49,17 @@ def hand_spec(hand: HandModel) -> HandSpec:
 
     Joints that move no fingertip stay at their reference position, as in `HandModel`; bodies that
     float or hang on a ball joint beside the hand (objects of a scene's file) are left out; floors
-    and other fixed bodies stay. Joints that follow another do so by an equality constraint.
+    and other fixed bodies stay. Joints that follow another do so by an equality constraint. Links
+    that lie in each other do not collide.
 
     Raises:
         SimulationError: MuJoCo cannot compile the file, a fingertip has nothing to touch with, or
             a tendon drives joints that nothing couples.
     """
     spec, notes = _without_servos(hand)
-    add_servos(spec, lean_model(spec, hand), hand, notes)
+    model = lean_model(spec, hand)
+    exclude_neighbours(spec, model, hand, notes)
+    add_servos(spec, model, hand, notes)
     return HandSpec(spec, tuple(notes))
 
 
@@ -74,7 +77,6 @@ def _without_servos(hand: HandModel) -> tuple[mujoco.MjSpec, list[str]]:
     if root_tag(hand.path) == "robot":
         spec = read_urdf(hand, notes)
         own_options(spec)
-        exclude_neighbours(spec, lean_model(spec, hand), hand, notes)
     else:
         spec = _read_mjcf(hand)
         own_options(spec)

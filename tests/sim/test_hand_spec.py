@@ -480,6 +480,25 @@ def test_links_side_by_side_do_not_collide(urdf_hand: Hands) -> None:
     assert model.nexclude >= 5
 
 
+def test_links_of_an_mjcf_that_lie_in_a_palm_fixed_to_the_world_do_not_collide(
+    dex5: HandModel, changed_dex5: Hands
+) -> None:
+    """Under a palm that moves MuJoCo leaves such contacts out by itself."""
+    palm = '<body name="palm" childclass="dex5"><geom type="cylinder" size="0.075 0.02"/>'
+    excluded = re.search(r"<contact>.*?</contact>", dex5.path.read_text(), re.DOTALL)
+    assert excluded is not None
+    hand = changed_dex5((PALM, palm), (excluded.group(), ""))
+    spec, notes = hand_spec(hand)
+    model = lean_model(spec, hand)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+    assert any(
+        "lie in each other, whose contacts are excluded: palm and f1_base" in n for n in notes
+    )
+    assert not hand_spec(dex5).notes  # its file excludes them itself
+
+
 def test_two_hands_in_one_file_by_include_and_fused(tmp_path: Path, dex5: HandModel) -> None:
     """The one whose fingertips are named moves; the other stays where it is."""
     text = dex5.path.read_text()
