@@ -1,7 +1,7 @@
 """Where the links of a hand are: points of their collision geometry, for proposals.
 
-A link without any has those of its visual geometry only where no link of the hand has a collision
-geometry.
+Links without any, and nothing beyond them has any either, have those of their visual geometry: the
+ends of fingers, or all of a file that is drawn only.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from dexctl.description.mjcf import compile_mjcf, load_mujoco
+from dexctl.description.placement import segments
 from dexctl.description.tree import Description
 from dexctl.description.urdf import numbers, rotation_of
 from dexctl.description.xml_text import parse_xml, root_tag
@@ -25,11 +27,31 @@ _DIRECTIONS = np.array([d for d in product(np.linspace(-1, 1, 7), repeat=3) if m
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)  # (218, 3)
 
 
-def body_points(description: Description) -> list[Floats]:
-    """Outermost points ``(k, 3)`` [m] of each body's geometry, in the body's frame."""
+class BodyPoints(NamedTuple):
+    """Where the links are.
+
+    Attributes:
+        points: outermost ones of each body's geometry, in the body's frame, ``(k, 3)`` each [m].
+        drawn: numbers of the bodies whose points are of their visual geometry.
+    """
+
+    points: list[Floats]
+    drawn: frozenset[int]
+
+
+def body_points(description: Description) -> BodyPoints:
+    """See `BodyPoints`."""
     of = _urdf_points if root_tag(description.path) == "robot" else _mjcf_points
-    solid = of(description, True)
-    return solid if any(len(points) for points in solid) else of(description, False)
+    points, parts = of(description, True), segments(description)
+    solid = [any(len(points[body]) for body in part.bodies) for part in parts]
+    for s in range(len(parts) - 1, 0, -1):
+        solid[parts[s].parent] |= solid[s]
+    bare = [b for part, on in zip(parts, solid, strict=True) if not on for b in part.bodies]
+    if bare:
+        seen = of(description, False)
+        for body in bare:
+            points[body] = seen[body]
+    return BodyPoints(points, frozenset(body for body in bare if len(points[body])))
 
 
 def _outermost(points: Floats) -> Floats:

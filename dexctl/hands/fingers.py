@@ -49,11 +49,13 @@ class Fingers(NamedTuple):
         fingers: in the order of the file.
         trunk: joints that all of them share (an arm, a wrist), base to tip.
         dropped: why other ends of the tree are no fingers, by body.
+        drawn: bodies of fingers that have visual geometry only.
     """
 
     fingers: list[Finger]
     trunk: tuple[str, ...]
     dropped: dict[str, str]
+    drawn: tuple[str, ...]
 
 
 def stretched(description: Description) -> dict[str, float]:
@@ -77,9 +79,10 @@ def find_fingers(
     Raises:
         UnknownName: there is no such body or site.
         HandModelError: no finger, those of several hands, a joint that is neither hinge nor slide
-            on the way to one, a chosen fingertip that does not move or that moves with another.
+            on the way to one, a chosen fingertip that does not move, that moves with another, or of
+            which nothing says where it ends.
     """
-    points, parts = body_points(description), segments(description)
+    (points, drawn), parts = body_points(description), segments(description)
     names = [body.name for body in description.bodies]
     for name in chosen:
         if name not in names and name not in description.sites:
@@ -87,7 +90,7 @@ def find_fingers(
     if base and base not in names:
         raise UnknownName("body", base, names)
     if chosen:
-        leaves, dropped = _chosen_leaves(description, parts, chosen), {}
+        leaves, dropped = _chosen_leaves(description, parts, points, chosen), {}
     else:
         below = _below(description, None if base is None else names.index(base))
         leaves, dropped = _leaves(description, parts, points, below)
@@ -106,15 +109,23 @@ def find_fingers(
         _drop_short(found, dropped)
     if chosen:  # the tip is on the body that was named, wherever the far end is
         found = {
-            leaf: _moved(description, placed, finger, name)
+            leaf: _moved(description, placed, finger, name, _has_shape(parts[leaf], points))
             for name, (leaf, finger) in zip(chosen, found.items(), strict=True)
         }
     held = tuple(joint.name for s in trunk for joint in parts[s].joints)
-    return Fingers(list(found.values()), held, dropped)
+    bare = [description.bodies[b].name for s in found for b in parts[s].bodies if b in drawn]
+    return Fingers(list(found.values()), held, dropped, tuple(bare))
+
+
+def _has_shape(part: Segment, points: list[Floats]) -> bool:
+    return any(len(points[body]) for body in part.bodies)
 
 
 def _chosen_leaves(
-    description: Description, parts: list[Segment], chosen: tuple[str, ...]
+    description: Description,
+    parts: list[Segment],
+    points: list[Floats],
+    chosen: tuple[str, ...],
 ) -> list[int]:
     """The segments of fingertips that were named, one each."""
     names = [body.name for body in description.bodies]
@@ -131,6 +142,11 @@ def _chosen_leaves(
             raise HandModelError(
                 f"{description.path}: the fingertips {found[leaf]!r} and {name!r} move as one; "
                 "name one for each finger"
+            )
+        if body == parts[leaf].bodies[0] and name in names and not _has_shape(parts[leaf], points):
+            raise HandModelError(
+                f"{description.path}: the fingertip {name!r} has no geometry that can be read: "
+                "give it one, or name a link or site that is fixed to it where the tip is"
             )
         found[leaf] = name
     return list(found)
@@ -155,7 +171,7 @@ def _leaves(
     def name(s: int) -> str:
         return description.bodies[parts[s].bodies[-1]].name
 
-    solid = [any(len(points[body]) for body in part.bodies) for part in parts]
+    solid = [_has_shape(part, points) for part in parts]
     carries = solid.copy()
     for s in range(len(parts) - 1, 0, -1):
         carries[parts[s].parent] |= carries[s]
@@ -284,9 +300,16 @@ def _finger(
 
 
 def _moved(
-    description: Description, placed: list[tuple[Floats, Floats]], finger: Finger, name: str
+    description: Description,
+    placed: list[tuple[Floats, Floats]],
+    finger: Finger,
+    name: str,
+    has_shape: bool,
 ) -> Finger:
-    """The finger with its tip on the body ``name``, or at the site of that name."""
+    """The finger with its tip on the body ``name``, or at the site of that name.
+
+    A body stands for its origin where nothing that moves with it has a shape.
+    """
     if all(body.name != name for body in description.bodies):  # a site is a point as it is
         body, at = description.sites[name]
         rotation, origin = placed[body]
@@ -294,8 +317,8 @@ def _moved(
         return replace(finger, body=name, offset=np.zeros(3), tip=tip)
     index = next(i for i, body in enumerate(description.bodies) if body.name == name)
     rotation, origin = placed[index]
-    offset = rotation.T @ (finger.tip - origin)
-    return replace(finger, body=name, offset=offset)
+    tip = finger.tip if has_shape else origin
+    return replace(finger, body=name, offset=rotation.T @ (tip - origin), tip=tip)
 
 
 def _drop_short(found: dict[int, Finger], dropped: dict[str, str]) -> None:

@@ -152,6 +152,12 @@ def _why_fingers(found: Fingers, given: bool) -> str:
     text = "As given" if given else "The ends of the tree that carry geometry"
     text += "; offset: the middle of the end of the geometry, one half-width inside"
     text += "; none for a site, which is the tip itself." if given else "."
+    if found.drawn:
+        text += (
+            "\nMeasured by what is drawn, for want of collision geometry: "
+            f"{', '.join(found.drawn)}; a fingertip among them touches with a ball at the tip when "
+            "it is simulated."
+        )
     for body, why in found.dropped.items():
         text += f"\nNot taken for a finger: {body} ({why})."
     return text

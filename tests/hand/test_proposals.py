@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,38 @@ def test_fingertips_of_ones_own(hand_file: Path) -> None:
         propose(hand_file, ["f9"])
 
 
+def drawn_ends(path: Path, *, without: bool = False) -> Path:
+    """`hand_file` with last links that are only drawn, or have no shape at all."""
+    text = path.read_text()
+    for end in ("f0_end", "f1_end", "f2_end", "t_end"):
+        before, name, after = text.partition(f'<link name="{end}">')
+        old, close, rest = after.partition("</link>")
+        new = "" if without else old.replace("collision", "visual")
+        text = before + name + new + close + rest
+    changed = path.with_name("drawn.urdf")
+    changed.write_text(text)
+    return changed
+
+
+@pytest.mark.parametrize("tips", [(), ("f0_end", "f1_end", "f2_end", "t_end")])
+def test_last_links_that_are_only_drawn_are_measured(hand_file: Path, tips: Sequence[str]) -> None:
+    whole, drawn = propose(hand_file).config, propose(drawn_ends(hand_file), tips)
+    assert drawn.config.fingertips == whole.fingertips
+    assert drawn.config.fingertip_radius == whole.fingertip_radius
+    assert (
+        "for want of collision geometry: f0_end, f1_end, f2_end, t_end"
+        in (drawn.reasons["fingertips"])
+    )
+
+
+def test_last_links_without_a_shape_say_what_to_write(hand_file: Path) -> None:
+    path = drawn_ends(hand_file, without=True)
+    with pytest.raises(HandModelError, match="fingertip 'f0_end' has no geometry .* fixed to it"):
+        propose(path, ["f0_end", "f1_end"])
+    found = propose(path, ["f0_frame", "f1_frame"]).config  # a link stands for its origin
+    assert found.fingertips == {"f0_frame": (0.0, 0.0, 0.0), "f1_frame": (0.0, 0.0, 0.0)}
+
+
 def test_two_hands_in_one_file(tmp_path: Path) -> None:
     path = tmp_path / "both.urdf"
     right, left = urdf(tmp_path, "r_", "0 -0.3 0"), urdf(tmp_path, "l_", "0 0.3 0")
@@ -248,6 +281,6 @@ def test_meshes_are_found_and_read(tmp_path: Path) -> None:
         '<geometry><mesh filename="package://robot/meshes/tip.obj" scale="1 1 2"/></geometry>'
         "</collision></link></robot>"
     )
-    (points,) = body_points(read(path))
+    ((points,), _) = body_points(read(path))
     np.testing.assert_allclose(points[1], [0, 0.01, 1], atol=1e-12)
     np.testing.assert_allclose(points[3], [0, 0, 1.06], atol=1e-12)
