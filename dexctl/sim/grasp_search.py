@@ -232,6 +232,13 @@ class GraspSearch:
             clearance[rows], ease[rows], np.zeros(len(rows)), np.ones(len(rows)),
         )  # fmt: skip
 
+    def flat(self) -> Bools:
+        """Which fingers move their tips along a plane or a line only, in every posture, ``(m,)``.
+
+        They are left out of every combination.
+        """
+        return self._dexterous(self.workspace.dexterity).max(axis=0) <= _LEAST_EASE
+
     def able(self, finger: int, touch: Touches) -> tuple[Bools, Bools]:
         """In which postures ``(k,)`` a finger can press, and in which it can move all ways."""
         return self._strong(finger, touch), self._ease(finger, touch.posture) > _LEAST_EASE
@@ -239,7 +246,10 @@ class GraspSearch:
     def _ease(self, finger: int, rows: np.ndarray) -> Floats:
         space = self.workspace
         margin = np.minimum(space.margin[rows, finger] / 0.3, 1.0)
-        return margin * np.minimum(space.dexterity[rows, finger] / (0.15 * space.reach), 1.0)
+        return margin * self._dexterous(space.dexterity[rows, finger])
+
+    def _dexterous(self, dexterity: Floats) -> Floats:
+        return np.minimum(dexterity / (0.15 * self.workspace.reach), 1.0)
 
     def _strong(self, finger: int, touch: object) -> Bools:
         jacobian = self.workspace.jacobian(finger, touch)  # type: ignore[arg-type]

@@ -4,11 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
+from dexctl.sim.checks import listed
 from dexctl.sim.grasp_search import LEAST_FINGERS, PALM_CLEAR, GraspSearch, Placement
 from dexctl.sim.workspace import BAND
 
 _STIFF = "only stretched or at the end of its range"
 _PLACES = 60  # of those that the search draws, which are looked at again
+
+
+def flat_fingers(search: GraspSearch) -> str:
+    """Which fingers can never hold, in one line; empty where enough others are left."""
+    names, flat = np.array(search.workspace.hand.fingertip_names), search.flat()
+    needed = min(LEAST_FINGERS, len(names))
+    if (~flat).sum() >= needed:
+        return ""
+    return (
+        f"the joints of {listed(names[flat].tolist())} move the fingertip along a plane or a line "
+        f"only, whatever the object and its place; expected {needed} fingers of three joints or "
+        "more that do not all turn about one direction"
+    )
 
 
 def explained(search: GraspSearch) -> str:
@@ -75,8 +89,5 @@ def _advice(words: list[str], palm: float, needed: int, search: GraspSearch) -> 
     if "too weak" in words:
         return f"take less grip than {search.grip:g} N, or mend the torque limits ([servos] effort)"
     if _STIFF in words:
-        return (
-            "take another object_size or grasp_centre; a finger whose joints all turn about one "
-            "direction counts as stretched"
-        )
+        return "take another object_size or grasp_centre"
     return "take a smaller object_size, or another grasp_centre"

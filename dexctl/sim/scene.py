@@ -249,7 +249,7 @@ class Scene:
             InvalidInput: a value is out of range.
             SettleFailure: none holds; with the attempts of the best.
             SimulationError: no place is in reach of three fingers (of both, where the hand has
-                two) with palm and links clear.
+                two) that move their tips all ways, with palm and links clear.
         """
         from dexctl.sim.suggest import suggest
 

@@ -21,7 +21,7 @@ from dexctl.hand_config import HandConfig, HeldObject, PostureConfig
 from dexctl.sim import checks
 from dexctl.sim.grasp_score import GraspScore, Ranked, ranked
 from dexctl.sim.grasp_search import LEAST_FINGERS, GraspSearch
-from dexctl.sim.no_grasp import explained
+from dexctl.sim.no_grasp import explained, flat_fingers
 from dexctl.sim.objects import MESH
 from dexctl.sim.scene import Scene
 from dexctl.sim.settle import SettledGrasp, settle
@@ -144,6 +144,8 @@ def suggest(
             f"{hand.name}: 1 finger, {hand.fingertip_names[0]}; expected 2 or more to hold a {name}"
         )
     search = _search(hand, name, object_size, grasp_centre, wanted, seed, options)
+    if why := flat_fingers(search):
+        raise SimulationError(f"{hand.name}: no grasp of a {name}: {why}")
     best = ranked(search)
     if best is None or not len(best.score):
         needed = min(LEAST_FINGERS, hand.n_fingers)

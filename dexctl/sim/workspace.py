@@ -101,7 +101,7 @@ class Workspace:
         self.tips = self._configuration.fingertip_position
         self.margin = self._margins(shared)
         jacobian = self._configuration.finger_jacobian(self.tips)
-        self.dexterity = np.linalg.svd(jacobian, compute_uv=False)[..., -1]
+        self.dexterity = np.asarray(np.linalg.svd(jacobian, compute_uv=False)[..., -1], float)
         offsets = np.linalg.norm(hand.fingertip_offsets, axis=-1)
         lengths = [_length(model, name) for name in hand.fingertip_bodies]
         self.reach = max(0.02, float(np.median(offsets + lengths)))

@@ -26,6 +26,10 @@ TIPS = {
 }  # fmt: skip
 
 
+BAR = '<geom type="capsule" fromto="0 0 0 0.04 0 0" size="0.008"/>'
+RANGE = '<joint range="-10 90" damping="0.01" armature="0.001"/>'
+
+
 @pytest.fixture(scope="module")
 def bare(four_fingers: HandModel) -> HandModel:
     """Four fingers of whom nothing is known but the file and the fingertips."""
@@ -216,6 +220,22 @@ def test_a_finger_of_very_many_joints_is_refused_in_one_line(tmp_path: Path) -> 
     search = search_of(chain, "sphere")
     assert len(search.drawn(5, np.random.default_rng(0))) == 5
     search.run(5, 2)
+
+
+def test_planar_fingers_are_named_and_no_size_is_advised(tmp_path: Path) -> None:
+    fingers = "".join(
+        f'<body name="a{k}" pos="0 {0.03 * k} 0"><joint name="a{k}" axis="0 1 0"/>{BAR}'
+        f'<body name="b{k}" pos="0.04 0 0"><joint name="b{k}" axis="0 1 0"/>{BAR}'
+        f'<body name="t{k}" pos="0.04 0 0"><joint name="t{k}" axis="0 1 0"/>{BAR}'
+        "</body></body></body>"
+        for k in range(3)
+    )
+    path = tmp_path / "planar.xml"
+    path.write_text(f"<mujoco><default>{RANGE}</default><worldbody>{fingers}</worldbody></mujoco>")
+    hand = HandModel.from_mjcf(path, {f"t{k}": (0.04, 0, 0) for k in range(3)})
+    with pytest.raises(SimulationError, match="joints of t0, t1, t2 move .* plane") as caught:
+        Scene.suggest_grasp(hand, "cube")
+    assert "object_size" not in str(caught.value) and "expected 3 fingers" in str(caught.value)
 
 
 def test_what_mujoco_cannot_step_is_said_in_one_line(
