@@ -145,6 +145,15 @@ class Add:
                 "Too soft in the file to press with 2 N where the set-point is 0.1 rad ahead."
             )
             say(f"servos stiffened: {', '.join(stiffer)}")
+        damper = damped(hand)
+        if damper:
+            config = replace(config, servos=replace(config.servos, damping=damper))
+            hand = config.build()
+            reasons["servos.damping"] = (
+                "Hardly damped in the file, so that these joints would ring for long: critical, "
+                "where they swing at 8 Hz at most."
+            )
+            say(f"servos damped: {', '.join(damper)}")
         objects = (self.object,) if self.object else OBJECTS
         count = max(1, self.turning.grasps)
         grasps = suggestions(
@@ -182,6 +191,23 @@ def stiffened(hand: HandModel) -> dict[str, float]:
         name: float(f"{wanted:.3g}")
         for name, wanted, there in zip(hand.joint_names, need, found, strict=True)
         if there < _SOFT * wanted
+    }
+
+
+def damped(hand: HandModel) -> dict[str, float]:
+    """Joints that ring, or cannot be simulated, as they are; and the damping they need."""
+    from dexctl.sim import Scene
+    from dexctl.sim.servo_gains import proposed_gains, ringing
+
+    scene = Scene.build(hand, object_size=0.05, grasp_centre=(0.0, 0.0, 10.0))
+    found, unknown = scene.stiffness, np.full(hand.nq, np.nan)
+    wanted = proposed_gains(scene.model, hand, found, unknown).damping
+    return {
+        name: float(f"{one:.3g}")
+        for name, one, rings in zip(
+            hand.joint_names, wanted, ringing(scene.model, hand, found, scene.damping), strict=True
+        )
+        if rings
     }
 
 

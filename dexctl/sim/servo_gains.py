@@ -9,7 +9,7 @@ import numpy as np
 
 from dexctl.hand import HandModel
 from dexctl.sim.hand_joints import HandJoints
-from dexctl.state import Floats
+from dexctl.state import Bools, Floats
 
 BANDWIDTH = 8.0
 """Natural frequency of a proposed servo with the joint's reflected inertia [Hz]."""
@@ -20,6 +20,8 @@ PRESSING = 2.0
 BEHIND = 0.1
 """[rad]"""
 _LEVER = 0.1  # what a turning joint does in [rad], a sliding one does in [rad] times this [m]
+RINGING = 0.2
+"""Damping, as a share of what is critical, below which a joint rings for long."""
 SLUGGISH = 0.2
 """Damping of a joint is left out where it makes the joint this slow [s]."""
 
@@ -80,6 +82,21 @@ def proposed_gains(
     own = np.where(own > SLUGGISH * k, 0.0, own)  # which `add_servos` leaves out
     critical = np.maximum(2 * np.sqrt(k * (inertia + armature)) - own, 0.0)
     return ServoGains(k, np.where(np.isnan(damping), critical, damping), armature, least)
+
+
+def ringing(model: mujoco.MjModel, hand: HandModel, stiffness: Floats, damping: Floats) -> Bools:
+    """Which joints ring for long, or run away from the physics' steps, ``(d,)``.
+
+    Args:
+        model: the hand, with or without an object.
+        hand: its kinematics.
+        stiffness: of the servos ``(d,)`` [N m/rad].
+        damping: of servo and joint together ``(d,)`` [N m s/rad].
+    """
+    inertia, step = _inertia(model, hand, hand.posture({})), model.opt.timestep
+    # a spring that is stepped explicitly, with a damper that is not, is stable above this
+    least = (stiffness * step**2 - 4 * inertia) / (2 * step)
+    return (damping < RINGING * 2 * np.sqrt(stiffness * inertia)) | (damping <= least)
 
 
 def link_inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:

@@ -28,7 +28,7 @@ from dexctl.exceptions import SimulationError
 from dexctl.sim.grasp_plans import GraspPlan, posture_plans, searched_plans
 from dexctl.sim.grasp_search import GraspSearch
 from dexctl.sim.hand_balls import HandBalls, followers, set_followers
-from dexctl.sim.settle_failure import SettleAttempt, SettleFailure
+from dexctl.sim.settle_failure import DIVERGED, SettleAttempt, SettleFailure
 from dexctl.sim.shapes import Shape
 from dexctl.sim.tactile import TouchSensors
 from dexctl.sim.workspace import Workspace
@@ -377,7 +377,7 @@ def _release(scene: Scene, held: _HeldObject, q_target: Floats) -> tuple[Settled
     steps = round(_SETTLING_TIME / model.opt.timestep)
     mujoco.mj_step(model, data, steps)
     if data.time < (steps - 0.5) * model.opt.timestep:
-        return None, "the simulation diverged"
+        return None, DIVERGED
     sensors = TouchSensors(model, hand.n_fingers)
     reading = sensors.read(data.sensordata[None, sensors.columns], 0.05)
     touching = int(reading.in_contact[0].sum())

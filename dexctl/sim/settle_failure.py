@@ -7,8 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dexctl.exceptions import SimulationError
+from dexctl.sim.checks import listed
+from dexctl.sim.servo_gains import ringing
 from dexctl.state import Bools, Floats
 
+DIVERGED = "the simulation diverged"
+"""Reason of an attempt in which it did."""
 _TOUCHING = 0.002  # a fingertip this near to the object counts as touching it [m]
 _INSIDE = -0.001  # deeper than soft contacts give way under a grip [m]
 
@@ -81,8 +85,22 @@ class SettleFailure(SimulationError):
         return self.scene.friction() * self.scene.grip * self.scene.hand.n_fingers
 
     @property
+    def ringing(self) -> tuple[str, ...]:
+        """Joints whose servos are hardly damped, or too stiff to be simulated."""
+        scene = self.scene
+        found = ringing(scene.model, scene.hand, scene.stiffness, scene.damping)
+        return tuple(np.array(scene.hand.joint_names)[found].tolist())
+
+    @property
     def advice(self) -> str:
         """What to change, in one line."""
+        loose = self.ringing
+        servos = (
+            f"the servos of {listed(loose)} are hardly damped for their stiffness: say another "
+            "damping or stiffness ([servos] in the hand's toml; `dexctl hands add` proposes them)"
+        )
+        if loose and any(one.reason == DIVERGED for one in self.attempts):
+            return servos
         best = self.closest
         if best is None or np.isnan(best.gap).all():
             return "give another grasp_centre or open_q, or let Scene.suggest_grasp find them"
@@ -110,6 +128,8 @@ class SettleFailure(SimulationError):
                 f"{scene.grip:g} N carry {self._carried:.1f} N by friction: less object_mass, or "
                 "more grip"
             )
+        if loose:
+            return servos
         return (
             "every fingertip reaches it: a lighter object, more friction, another grip, or the "
             "grasp_centre and object_size of Scene.suggest_grasp may hold"

@@ -42,8 +42,8 @@ class BatchSimulator:
     what :meth:`save` returns.
 
     An environment whose simulation diverges (MuJoCo resets such a one silently) stays as it was
-    before that step, time included, and is marked in ``diverged`` until it is reset. MuJoCo's own
-    warning goes to stderr and to MUJOCO_LOG.TXT in the working directory.
+    before that step, time included, and is marked in ``diverged`` until it is reset; MuJoCo's own
+    warning of it is left out.
 
     Args:
         scene: hand and object.

@@ -12,12 +12,13 @@ import pytest
 
 import dexctl
 from dexctl.cli import hands_grasp
-from dexctl.cli.hands_add import stiffened
+from dexctl.cli.hands_add import damped, stiffened
 from dexctl.cli.hands_grasp import Turned, Turning, chosen, further, turned
 from dexctl.exceptions import InvalidInput
-from dexctl.hand_config import HandConfig
-from dexctl.sim import SuggestedGrasp
+from dexctl.hand_config import HandConfig, ServoConfig
+from dexctl.sim import Scene, SettleFailure, SuggestedGrasp
 from dexctl.sim.grasp_score import GraspScore
+from dexctl.sim.settle import settle
 
 SCORE = GraspScore(
     total=0.9, margin=4.0, spare=1.0, balance=1.0, isotropy=0.5, dexterity=0.05, reach=1.0,
@@ -181,6 +182,33 @@ def test_trials_are_those_of_the_gait(dex5: dexctl.HandModel) -> None:
 def test_settings_that_are_refused(changes: dict[str, float]) -> None:
     with pytest.raises(InvalidInput, match=next(iter(changes))):
         Turning(**changes)  # pyright: ignore[reportArgumentType]
+
+
+def test_servos_without_damping_are_damped(dex5: dexctl.HandModel, tmp_path: Path) -> None:
+    assert damped(dex5) == {}
+    text = dex5.path.read_text()
+    for old, new in (
+        ('kv="0.15" forcerange="-0.5 0.5"', 'kv="0"'),
+        ('damping="0.02" armature="0.002"', 'damping="0"'),
+    ):
+        assert len(re.findall(old, text)) == 1
+        text = text.replace(old, new)
+    path = tmp_path / "loose.xml"
+    path.write_text(text)
+    loose = replace(dex5.config, description=path).build()
+    found = damped(loose)
+    assert set(found) == set(dex5.joint_names)
+    # twice the stiffness over the natural frequency, which is 8 Hz: the links are light
+    assert found["f1_flexion2"] == pytest.approx(2 * 3 / (2 * np.pi * 8), rel=0.01)
+    stiff = replace(loose.config, servos=ServoConfig(stiffness=1e6, damping=1.0)).build()
+    assert set(damped(stiff)) == set(dex5.joint_names)  # runs away from the steps of 5 ms
+    usual = Scene.build(dex5, "cube")
+    grasp = usual.settled.qpos[usual.qpos_columns]
+    with pytest.raises(SettleFailure, match="servos of f1_roll.* are hardly damped for their stif"):
+        settle(Scene.build(stiff, "cube", grasp_q=grasp), thorough=False)
+    tame = replace(loose.config, servos=ServoConfig(damping=found)).build()
+    assert damped(tame) == {}
+    settle(Scene.build(tame, "cube", grasp_q=grasp), thorough=False)
 
 
 def test_servos_too_soft_to_press_are_stiffened(dex5: dexctl.HandModel, tmp_path: Path) -> None:

@@ -191,9 +191,12 @@ def test_parameters_of_each_environment(cube: Scene) -> None:
 
 
 def test_divergence_is_seen_and_stays_where_it_is(
-    cube: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    cube: Scene,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log file where it stands
+    monkeypatch.chdir(tmp_path)  # where MuJoCo by itself writes a log file
     healthy = BatchSimulator(cube, 4, seed=0, threads=2)
     sim = BatchSimulator(cube, 4, seed=0, threads=2)
     drive(sim, 2)
@@ -212,6 +215,7 @@ def test_divergence_is_seen_and_stays_where_it_is(
     assert not state.in_contact[1].any()
     for i in (0, 2, 3):
         assert_same(state[i], healthy.read()[i])
+    assert not any(tmp_path.iterdir()) and "unstable" not in capfd.readouterr().err
     sim.reset(mask=sim.diverged)
     assert not sim.diverged.any()
 
