@@ -376,6 +376,7 @@ class HandModel:
         servos = self.config.servos
         self.effort = servos.of("effort", order, np.array([joint.effort for joint in found]))
         self.velocity = servos.of("velocity", order, np.array([joint.velocity for joint in found]))
+        self.config.check_joints(order)
         self.couplings = {name: one for name, one in couplings.items() if name not in order}
         self.ignored_joints = tuple(
             name for name in description.joints if name not in couplings and name not in order

@@ -11,15 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dexctl.description.tree import FARTHEST
 from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
 from dexctl.state import Floats
-from dexctl.validation import number, numbers, shown
+from dexctl.validation import check_name, number, numbers, shown
 
 if TYPE_CHECKING:
     from dexctl.hand import HandModel
 
 MENAGERIE = "menagerie:"
 """What the name of a file of the MuJoCo menagerie begins with."""
+
+SERVO_SETTINGS = ("stiffness", "damping", "effort", "velocity")
 
 Vector3 = tuple[float, float, float]
 ByJoint = float | dict[str, float] | None
@@ -99,7 +102,7 @@ class ServoConfig:
     """Speed limit [rad/s]."""
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "damping", "effort", "velocity"):
+        for name in SERVO_SETTINGS:
             value = getattr(self, name)
             table = value if isinstance(value, Mapping) else {} if value is None else {"": value}
             for joint, one in table.items():
@@ -239,10 +242,10 @@ class HandConfig:
             offset = numbers(fingertip, value, "")
         except InvalidInput:
             offset = np.array(np.nan)
-        if offset.shape != (3,) or not np.isfinite(offset).all():
+        if offset.shape != (3,) or not (np.abs(offset) <= FARTHEST).all():
             raise HandModelError(
                 f"{self.description}: fingertip {fingertip!r} has the offset {value!r}; expected "
-                "three lengths in metres"
+                f"three lengths in metres, at most {FARTHEST:g}"
             )
         x, y, z = offset.tolist()
         return x, y, z
@@ -293,6 +296,15 @@ class HandConfig:
             file = file.relative_to(path.parent) if file.is_relative_to(path.parent) else file
         write_text(path, to_toml(replace(self, description=file), comments or {}))
 
+    def check_joints(self, joints: Sequence[str]) -> None:
+        """Raise UnknownName where a servo or a posture is of none of ``joints``."""
+        for name in SERVO_SETTINGS:
+            self.servos.of(name, joints)
+        for posture in ("open", "grasp"):
+            for joint in getattr(self.postures, posture):
+                if joint not in joints:
+                    raise UnknownName(f"joint in postures.{posture}", joint, joints)
+
     def file(self, folder: str | Path | None = None) -> Path:
         """Where the description file is.
 
@@ -321,9 +333,22 @@ class HandConfig:
 
         Raises:
             HandModelError: the file is not to be had or holds no such hand.
-            UnknownName: a fingertip or a joint is not in the file.
+            UnknownName: a fingertip or a joint is not in the file; the message says the toml.
         """
         from dexctl.description import read
         from dexctl.hand import HandModel
 
-        return HandModel(read(self.file(folder)), self)
+        description = read(self.file(folder))
+        try:
+            return HandModel(description, self)
+        except UnknownName as error:
+            raise UnknownName(self._of_toml(error.kind), error.name, error.known) from None
+
+    def _of_toml(self, kind: str) -> str:
+        """``kind`` of thing, with the toml that names it."""
+        return kind if self.source is None else f"{kind} of {self.source.name}"
+
+    def check_shape(self, known: Sequence[str]) -> None:
+        """Raise UnknownName where the object that suits the hand is none of those ``known``."""
+        if self.object.shape is not None:
+            check_name(self._of_toml("object.shape"), self.object.shape, known)

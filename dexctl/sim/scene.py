@@ -18,7 +18,7 @@ from dexctl.sim import checks
 from dexctl.sim.file_settings import lean_model
 from dexctl.sim.hand_spec import hand_spec
 from dexctl.sim.moving_base import add_moving_base
-from dexctl.sim.objects import MESH, add_object
+from dexctl.sim.objects import MESH, add_object, object_names
 from dexctl.sim.tactile import add_sensors
 from dexctl.state import Floats
 
@@ -148,6 +148,7 @@ class Scene:
         model = hand if isinstance(hand, HandModel) else hands.load(hand)
         name, file = _object(object, mesh, object_mesh)
         held, postures, notes = model.config.object, model.config.postures, ()
+        model.config.check_shape(object_names())
         mass = checks.positive("object_mass", held.mass if object_mass is None else object_mass)
         if object_size is not None:
             width = checks.positive("object_size", object_size)

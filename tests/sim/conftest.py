@@ -15,7 +15,7 @@ import pytest
 
 import dexctl
 from dexctl import HandModel
-from dexctl.hand_config import HandConfig
+from dexctl.hand_config import HandConfig, PostureConfig
 
 
 class ChangedDex5(Protocol):
@@ -113,7 +113,10 @@ def urdf_hand(tmp_path: Path) -> Callable[..., HandModel]:
         path.write_text(finger_urdf(count, **parts))
         dex5 = dexctl.hands.load("dex5").config
         tips = {f"f{i}_tip": (0.0, 0.0, 0.0) for i in range(1, count + 1)}
-        values = {"fingertips": tips, "postures": dex5.postures, "object": dex5.object}
+        opened = {j: q for j, q in dex5.postures.open.items() if int(j[1]) <= count}
+        values = {
+            "fingertips": tips, "postures": PostureConfig(open=opened), "object": dex5.object
+        }  # fmt: skip
         return HandConfig(description=path, **(values | dict(config or {}))).build()
 
     return make

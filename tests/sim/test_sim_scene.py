@@ -134,6 +134,12 @@ def test_wrong_names_and_numbers() -> None:
         Scene.build("dex5", friction=-1)
 
 
+def test_an_object_of_a_toml_that_there_is_not(dex5: HandModel) -> None:
+    held = replace(dex5.config.object, shape="cub")
+    with pytest.raises(UnknownName, match="object.shape of dex5.toml 'cub'; known: cube"):
+        Scene.build(replace(dex5.config, object=held).build(), "sphere")
+
+
 def test_what_cannot_be_held_says_so() -> None:
     scene = Scene.build("dex5", "sphere", object_mass=20.0)
     with pytest.raises(SimulationError, match=r"dex5 does not hold 'sphere' .*20 kg.*touch it"):

@@ -12,6 +12,7 @@ import pytest
 from dexctl import HandModel
 from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
 from dexctl.grasp import epsilon_quality, is_force_closure
+from dexctl.hand_config import PostureConfig
 from dexctl.sim import Scene
 from dexctl.sim.grasp_score import ranked, scores
 from dexctl.sim.grasp_search import Contacts, GraspSearch, Placement
@@ -292,7 +293,7 @@ def test_couplings_are_followed(tmp_path: Path, dex5: HandModel) -> None:
     )
     path = tmp_path / "coupled.xml"
     path.write_text(text)
-    hand = replace(dex5.config, description=path).build()
+    hand = replace(dex5.config, description=path, postures=PostureConfig()).build()
     assert hand.nq == 14
     balls = HandBalls(mujoco.MjModel.from_xml_path(str(path)), hand)
     q = hand.posture({"f1_flexion1": 0.9})
