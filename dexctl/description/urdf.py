@@ -104,6 +104,7 @@ def _check_mass(path: Path, link: ElementTree.Element) -> None:
 
 
 _COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "radius": 1, "length": 1}
+_COUNTS |= dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
 """How many numbers attributes of a link have."""
 
 

@@ -52,7 +52,12 @@ def propose(path: str | Path, fingertips: Sequence[str] = (), base: str | None =
     """
     path = Path(path).expanduser()
     if not path.is_file():
-        raise HandModelError(f"{path}: no such file")
+        what = "a folder; expected an MJCF or URDF file" if path.is_dir() else "no such file"
+        raise HandModelError(f"{path}: {what}")
+    if path.suffix.lower() == ".toml":
+        raise HandModelError(
+            f"{path}: a toml; expected the MJCF or URDF file of a hand, for which one is proposed"
+        )
     description = read(path.absolute())
     found = find_fingers(description, tuple(fingertips), base)
     reasons = {"fingertips": _why_fingers(found, bool(fingertips))}

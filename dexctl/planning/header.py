@@ -13,7 +13,7 @@ import numpy as np
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.planning.scene_settings import PHYSICS
-from dexctl.settings import absolute, differing, from_plain, get, to_plain
+from dexctl.settings import absolute, difference, differing, from_plain, get, to_plain
 from dexctl.sim import SceneConfig
 from dexctl.validation import shown
 
@@ -37,8 +37,9 @@ def _texts(value: object) -> bool:
 
 
 def _amount(value: object) -> bool:
-    known = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return known and 0 <= value < math.inf
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    return 0 <= value < math.inf
 
 
 def _whole(value: object) -> bool:
@@ -50,8 +51,9 @@ def _counts(value: object) -> bool:
 
 
 def _vector(value: object) -> bool:
-    numbers = isinstance(value, (list, tuple)) and len(value) == 3
-    return numbers and all(isinstance(one, (int, float)) and math.isfinite(one) for one in value)
+    if not isinstance(value, (list, tuple)) or len(value) != 3:
+        return False
+    return all(isinstance(one, (int, float)) and math.isfinite(one) for one in value)
 
 
 def _direction(value: Any) -> bool:
@@ -237,6 +239,17 @@ class TreeHeader:
                     f"{get(now, path)}; expected the same to go on with it, or a new tree"
                 )
 
+    def check_same_settings(self, other: TreeHeader) -> None:
+        """Raise InvalidInput where the two were grown with other settings, of those both know.
+
+        Files of earlier versions lack what there was not; of a merged tree one header is left, by
+        which its nodes are held and followed.
+        """
+        mine, theirs = self.settings, other.settings
+        found = difference(_shared(theirs, mine), _shared(mine, theirs))
+        if found is not None:
+            raise InvalidInput(f"the trees have different settings: {found}; expected the same")
+
     @classmethod
     def sum(cls, headers: Sequence[TreeHeader]) -> TreeHeader:
         """Of trees that are merged: what was counted is added up."""
@@ -251,3 +264,10 @@ class TreeHeader:
             seconds=max(header.seconds for header in headers),
             refused=refused,
         )
+
+
+def _shared(some: Any, others: Any) -> Any:
+    """What ``some`` says under the names that ``others`` have too."""
+    if not (isinstance(some, Mapping) and isinstance(others, Mapping)):
+        return some
+    return {name: _shared(some[name], others[name]) for name in some if name in others}

@@ -16,7 +16,6 @@ from dexctl.planning.header import TreeHeader
 from dexctl.planning.nodes import NODE_FIELDS, Frame, Nodes
 from dexctl.planning.parts import part_files
 from dexctl.rotations import angle_between
-from dexctl.settings import difference
 from dexctl.sim.grasp_states import GraspStates, states_file
 from dexctl.state import Floats
 from dexctl.validation import numbers, shown, shown_numbers, unit_quaternions
@@ -404,9 +403,7 @@ class Tree:
         merged = cls(header, first.nodes.take([0]))
         for tree in trees:
             tree.header.check_same(first.header)
-            other = difference(first.header.settings, tree.header.settings)
-            if other is not None:  # whatever reads them from the header goes by one
-                raise InvalidInput(f"the trees have different settings: {other}; expected the same")
+            tree.header.check_same_settings(first.header)
             if not np.allclose(tree.nodes.q[0], first.nodes.q[0], atol=1e-9):
                 raise InvalidInput("the trees have different roots; expected one")
             rest = np.arange(1, len(tree))

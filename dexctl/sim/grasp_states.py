@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -203,7 +204,7 @@ class GraspStates:
         """
         names, path = [field.name for field in fields(cls)], states_file(path)
         what = f"grasp states {str(path)!r}"
-        values = read_arrays(path, what, names)
+        values: dict[str, Any] = read_arrays(path, what, names)
         missing = [name for name in names if name not in values and name not in _OPTIONAL]
         if missing:
             needed = ", ".join(name for name in names if name not in _OPTIONAL)

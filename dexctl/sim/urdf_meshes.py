@@ -26,7 +26,8 @@ def find_mesh(urdf: Path, name: str) -> tuple[Path | None, str]:
     there = next((place for place in places if place.is_file()), None)
     if there is not None:
         return None, f"MuJoCo reads {', '.join(_MESHES)}; convert it, and lay it beside {there}"
-    return None, f"not found; looked for {places[0]} and {len(places) - 1} more places"
+    more = len(places) - 1
+    return None, f"not found; looked for {places[0]}" + (f" and {more} more places" if more else "")
 
 
 def _unreadable(file: Path) -> str:

@@ -50,6 +50,8 @@ def test_add_without_a_grasp(
     ("words", "code", "said"),
     [
         ("none.urdf", 1, "none.urdf: no such file"),
+        ("there.toml --out new.toml", 1, "there.toml: a toml; expected the MJCF or URDF file of a"),
+        (". --out new.toml", 1, ".: a folder; expected an MJCF or URDF file"),
         ("RING --out here.txt", 2, "--out is 'here.txt'; expected the name of a .toml"),
         ("RING --out there.toml", 2, "there.toml is there already; give another --out, or --repl"),
         ("RING --object anvil", 2, "unknown object 'anvil'"),

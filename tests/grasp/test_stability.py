@@ -290,6 +290,8 @@ def test_forces_do_not_depend_on_units_or_frames(seed, scale):
         (dict(origin=np.zeros(2)), "origin has shape"),
         (dict(origin=np.full(3, np.inf)), "finite"),
         (dict(length=0.0), "length"),
+        (dict(length="0.05"), "length is not an array of numbers: '0.05'"),
+        (dict(length=b"0.05"), "length is not an array of numbers"),
         (dict(length=np.nan), "length"),
         (dict(length=np.ones(3)), "length has shape"),
         (dict(regulariser=-1.0), "regulariser"),

@@ -66,13 +66,13 @@ def test_an_mjcf_chain(tmp_path: Path) -> None:
 
 URDF = """<?xml version="1.0" encoding="ENCODING"?>
 <robot name="h"><link name="base"/><link name="tip"><inertial><mass value="MASS"/>
-<origin xyz="0 0 CENTRE"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/>
+<origin xyz="0 0 CENTRE"/><inertia ixx="MOMENT" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/>
 </inertial><collision><geometry><sphere radius="RADIUS"/></geometry></collision></link>
 <joint name="j" type="revolute"><parent link="base"/><child link="tip"/><origin xyz="0.1 0 ORIGIN"/>
 <axis xyz="0 1 0"/><limit lower="LOWER" upper="1" effort="1" velocity="1"/></joint></robot>"""
 GOOD = {
     "ENCODING": "utf-8", "MASS": "0.1", "CENTRE": "0.01", "RADIUS": "0.01", "ORIGIN": "0",
-    "LOWER": "-1",
+    "LOWER": "-1", "MOMENT": "1e-5",
 }  # fmt: skip
 
 
@@ -87,6 +87,11 @@ GOOD = {
         ("MASS", "nan", "link 'tip' has the mass 'nan'; expected a finite number"),
         ("MASS", "-1", "link 'tip' has the mass '-1'"),
         ("MASS", "heavy", "link 'tip' has the mass 'heavy'"),
+        (
+            "MOMENT",
+            "nan",
+            "link 'tip' has ixx='nan' in the <inertia> of its <inertial>; expected a",
+        ),
         ("CENTRE", "inf", "link 'tip' has xyz='0 0 inf' in the <origin> of its <inertial>; exp"),
         ("RADIUS", "wide", "link 'tip' has radius='wide' in the <sphere> of its <collision>; exp"),
         ("RADIUS", "1 2", "radius='1 2' in the <sphere> .* expected a finite number$"),
