@@ -85,12 +85,6 @@ class Sensing:
                 raise InvalidInput(
                     f"{name} is {getattr(self, name)}; expected 0 to {LONGEST_LATENCY:g} s"
                 )
-        given = [name for name in TRACKER if getattr(self, name) > 0]
-        if given and self.object_pose != "tracked":
-            raise InvalidInput(
-                f"{given[0]} is {getattr(self, given[0])} and object_pose {self.object_pose!r}; "
-                "expected 'tracked' with it"
-            )
 
     @property
     def noisy(self) -> bool:
@@ -101,7 +95,7 @@ class Sensing:
 NOISES = ("joint_noise", "position_noise", "normal_noise", "force_noise", "force_noise_share")
 """The settings of `Sensing` that are noise of joints and touch."""
 TRACKER = ("tracker_position_noise", "tracker_rotation_noise", "tracker_latency")
-"""The settings of `Sensing` that are of who tracks the object."""
+"""The settings of `Sensing` that are of who tracks the object; nothing where nobody does."""
 _POSE = ("object_position", "object_quaternion")
 
 
@@ -142,7 +136,8 @@ class Sensor:
         batch = streams.batch_shape
         self._share = np.ones(batch)
         self._late = np.full(batch, round(sensing.sensor_latency / control_period))
-        self._pose_late = round(sensing.tracker_latency / control_period)  # beside that
+        seen = sensing.object_pose == "tracked"
+        self._pose_late = round(sensing.tracker_latency / control_period) * seen  # beside that
         self._threshold = np.zeros((*batch, 1))
         self._dropout = np.zeros(batch)
 
@@ -236,7 +231,7 @@ class Sensor:
     def _tracked(self, seen: GraspState, begin: Bools | None) -> GraspState:
         """``seen`` with a tracker's noise on the objects' poses."""
         place, turn = self._sensing.tracker_position_noise, self._sensing.tracker_rotation_noise
-        if not (place or turn):
+        if self._sensing.object_pose != "tracked" or not (place or turn):
             return seen
         assert seen.object_position is not None
         assert seen.object_quaternion is not None

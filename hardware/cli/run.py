@@ -24,6 +24,7 @@ from dexctl.rotations import multiply
 from dexctl.settings import absolute, only, to_plain
 from dexctl.sim.checks import gravity_vector
 from dexctl.sim.scene_config import SceneConfig
+from dexctl.sim.sensing import TRACKER
 from dexctl.state import Floats
 from dexctl.validation import check_name, unit_quaternion
 from hardware import report
@@ -173,6 +174,9 @@ class Run(HandOptions):
 
     def _check_tracker(self, pose: str) -> None:
         """InvalidInput where a real hand's tracker is missing, or there is one too many."""
+        given = [path for path in self._given() if path.rpartition(".")[2] in TRACKER]
+        if given and pose != "tracked":
+            raise InvalidInput(f"{flags(given)}: --object-pose is {pose}; expected tracked with it")
         if self.tracker is None:
             if pose == "tracked" and not self.emulate:
                 raise InvalidInput(

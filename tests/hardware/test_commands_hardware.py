@@ -106,6 +106,10 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
             "the tracker's port is 'here'; expected [HOST:]PORT",
         ),
         (
+            ["run", "hold", "--emulate", "--tracker-latency", "0.1"],
+            "--tracker-latency: --object-pose is unknown; expected tracked with it",
+        ),
+        (
             ["run", "hold", "--emulate", "--tracker", "5005", "--object-pose", "tracked"],
             "--emulate and --tracker 5005 are given; expected one of them",
         ),

@@ -230,9 +230,13 @@ def test_a_late_tracker_is_saved_and_restored() -> None:
     np.testing.assert_array_equal([told(other, i).object_position for i in range(4, 8)], after)
 
 
-@pytest.mark.parametrize("pose", ["touch", "odometry", "unknown"])
-@pytest.mark.parametrize("name", ["tracker_position_noise", "tracker_latency"])
-def test_a_tracker_needs_a_tracked_object(name: str, pose: Any) -> None:
-    given: dict[str, Any] = {name: 0.1}
-    with pytest.raises(InvalidInput, match=f"{name} is 0.1 and object_pose '{pose}'; expected"):
-        Sensing(object_pose=pose, **given)
+def test_a_tracker_is_nothing_where_nobody_tracks() -> None:
+    """Neither late nor random: what else is drawn is what it was."""
+    settings: dict[str, Any] = {"joint_noise": 0.01, "object_pose": "unknown"}
+    plain = sensor(3, **settings)
+    other = sensor(3, tracker_latency=1.0, tracker_position_noise=0.1, **settings)
+    for i in range(3):
+        mask = np.ones(3, bool) if i == 0 else None
+        a, b = (one(states(3, PERIOD * i), mask) for one in (plain, other))
+        np.testing.assert_array_equal(a.q, b.q)
+        assert b.object_position is None

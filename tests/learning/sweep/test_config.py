@@ -159,6 +159,7 @@ OTHER = {
 DISTURBANCES = (
     "joint_noise", "position_noise", "normal_noise", "force_noise", "force_noise_share",
     "sensor_latency", "push_force", "initial_states", "joint_offset",
+    "tracker_latency", "tracker_position_noise", "tracker_rotation_noise",
     *(one.name for one in fields(Randomisation)),
 )  # fmt: skip
 """What training has and evaluation has not, unless it says so."""
