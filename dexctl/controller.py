@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from types import MappingProxyType
-from typing import Any, final
+from typing import Any, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,12 +42,20 @@ class Controller(ABC):
         tracks: whether it acts only where the state has the object's pose.
         goes_to_goals: True: it acts only where the state has a ``goal_quaternion``; False: it does
             nothing about goals; None: it does not say.
+        made_with: positional and keyword arguments of its class that it was made with, whichever
+            class that is: with the class they are all that decides what it does.
     """
 
     object: str | None = None
     gravity: tuple[float, ...] | None = None
     tracks: bool = False
     goes_to_goals: bool | None = None
+    made_with: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        made = super().__new__(cls)
+        made.made_with = (args, kwargs)  # here, where no subclass can forget to
+        return made
 
     def __init__(self, hand: HandModel, *, control_period: float = 0.05) -> None:
         if not isinstance(hand, HandModel):

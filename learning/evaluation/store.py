@@ -1,8 +1,9 @@
 """Finished evaluations in a folder, so that a series that was killed goes on where it stopped.
 
 Each evaluation has a file of its own, written aside and then renamed. Its name holds a digest of
-everything that decides the numbers, so nothing is ever taken for something else: with another
-policy, protocol or version the evaluation is simply made anew.
+everything that decides the numbers, so that nothing is taken for something else: with another
+policy, protocol or version the evaluation is simply made anew. Nothing is kept of who cannot be
+told from another (`fingerprint`), such as a controller made with a function.
 """
 
 from __future__ import annotations
@@ -17,15 +18,14 @@ import numpy as np
 
 import dexctl
 from dexctl.controller import Controller
-from dexctl.exceptions import InvalidInput
 from dexctl.files import DAMAGED, aside
 from dexctl.settings import changed, get, paths, to_plain
 from learning.evaluation.figures import Evaluation
+from learning.evaluation.fingerprint import fingerprint, of_file
 from learning.evaluation.protocol import Protocol
 from learning.evaluation.robustness import disturbance
 from learning.evaluation.rollout import Progress, evaluate, one_object
 from learning.evaluation.subject import Subject
-from learning.policies import Policy
 
 FORMAT = 3
 _ARRAYS = [field.name for field in fields(Evaluation) if field.name not in ("object", "protocol")]
@@ -58,7 +58,10 @@ class EvaluationStore:
             protocol = who.protocol() if isinstance(who, Subject) else Protocol()
         name = one_object(protocol) if object is None else object
         controller = who.acting(protocol) if isinstance(who, Subject) else who
-        about = json.dumps(_about(controller, name, protocol), sort_keys=True)
+        who_it_is = fingerprint(controller)
+        if who_it_is is None:
+            return evaluate(controller, protocol, object=name, progress=progress)
+        about = json.dumps(_about(controller, who_it_is, name, protocol), sort_keys=True)
         path = self._path(name, protocol, about)
         kept = _read(path, about, name, protocol)
         if kept is not None:
@@ -80,20 +83,7 @@ class EvaluationStore:
         return self._folder / f"{name}{disturbed}-{digest}.npz"
 
 
-def fingerprint(controller: Controller) -> str:
-    """A digest of what decides a controller's actions."""
-    if isinstance(controller, Policy):
-        digest = hashlib.sha256(json.dumps(controller.spec._asdict(), sort_keys=True).encode())
-        for layer in controller.layers:
-            for array in layer:
-                digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
-    config = repr(getattr(controller, "config", None))
-    kind = type(controller)
-    return hashlib.sha256(f"{kind.__module__}.{kind.__qualname__} {config}".encode()).hexdigest()
-
-
-def _about(controller: Controller, name: str, protocol: Protocol) -> dict[str, Any]:
+def _about(controller: Controller, who_it_is: str, name: str, protocol: Protocol) -> dict[str, Any]:
     """What decides the numbers: the files that a protocol names count by what is in them."""
     how = changed(protocol, {"object": (name,), "threads": None})  # threads change nothing
     how = replace(how, scene=how.scene.with_mass(controller.hand.config))
@@ -101,19 +91,12 @@ def _about(controller: Controller, name: str, protocol: Protocol) -> dict[str, A
     return {
         "format": FORMAT,
         "dexctl": dexctl.__version__,
-        "controller": fingerprint(controller),
+        "controller": who_it_is,
         "hand": controller.hand.digest,
         "control_period": controller.control_period,
         "protocol": to_plain(how),
-        "files": {path: _digest(file) for path, file in files.items() if isinstance(file, Path)},
+        "files": {path: of_file(file) for path, file in files.items() if isinstance(file, Path)},
     }
-
-
-def _digest(file: Path) -> str:
-    try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()
-    except OSError as error:
-        raise InvalidInput(f"cannot read {file}: {error.strerror or error}") from None
 
 
 def _read(path: Path, about: str, name: str, protocol: Protocol) -> Evaluation | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import signal
@@ -13,14 +14,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 import dexctl
 from dexctl import controllers
+from dexctl.controller import BatchController
 from dexctl.settings import changed, get, paths
+from dexctl.state import GraspState
 from learning.evaluation import Protocol, evaluate
 from learning.evaluation import store as stores
+from learning.evaluation.fingerprint import fingerprint
 from learning.evaluation.robustness import robustness
-from learning.evaluation.store import EvaluationStore, fingerprint
+from learning.evaluation.store import EvaluationStore
 
 SHORT = changed(Protocol(), {"episodes": 2, "seconds": 0.1, "threads": 1})
 LEVELS = {"joint_noise": (0.1,), "push_force": (0.5, 1.0)}
@@ -93,7 +98,8 @@ def test_every_setting_counts_but_threads(dex5: dexctl.HandModel, tmp_path: Path
     }  # fmt: skip
 
     def about(protocol: Protocol) -> str:
-        return json.dumps(stores._about(hold, protocol.scene.object[0], protocol), sort_keys=True)
+        found = stores._about(hold, "hold", protocol.scene.object[0], protocol)
+        return json.dumps(found, sort_keys=True)
 
     for path in (states, mesh):
         path.write_text("one")
@@ -109,12 +115,67 @@ def test_every_setting_counts_but_threads(dex5: dexctl.HandModel, tmp_path: Path
     assert about(changed(Protocol(), {"initial_states": states})) not in seen
 
 
+NAMES = (
+    "igm", "switch", "gait", "coordinated", "hold",
+    "dex5-robust", "dex5-robust@0.5", "dex5-nine", "dex5-cube-z", "dex5-cube-z-any",
+    "regulated:dex5-robust", "regulated:dex5-robust@0.5", "regulated:dex5-nine",
+    "centred:dex5-nine",
+    "commanded:dex5-cube-z,dex5-cube-x", "commanded:dex5-cube-x,dex5-cube-z",
+    "commanded:dex5-easy-any,dex5-sphere-x", "sequence:dex5-cube-z,dex5-cube-x",
+    "sequence:dex5-cube-z-any,dex5-cube-x-any", "sequence:dex5-cube-z,dex5-cube-x@0.5",
+    "steered:dex5-axes", "steered:commanded:dex5-cube-z,dex5-cube-x",
+)  # fmt: skip
+
+
 def test_fingerprints(dex5: dexctl.HandModel) -> None:
+    """Everybody inside counts, and the pace."""
     make = controllers.make
-    assert fingerprint(make("igm", dex5)) == fingerprint(make("igm", dex5))
-    different = [make(name, dex5) for name in ("igm", "switch", "gait", "coordinated", "hold")]
+    different = [controllers.resolve(name, dex5) for name in NAMES]
     different.append(make("igm", dex5, axis=(1.0, 0.0, 0.0)))
-    assert len({fingerprint(one) for one in different}) == len(different)
+    different += [
+        dexctl.Superposition([make(name, dex5) for name in names])
+        for names in (("igm", "switch"), ("switch", "igm"), ("igm", "hold"))
+    ]
+    found = [fingerprint(one) for one in different]
+    assert None not in found and len(set(found)) == len(different)
+    for i in (0, 6, 17, 20):
+        assert fingerprint(controllers.resolve(NAMES[i], dex5)) == found[i]
+        different[i].reset(seed=3)
+        assert fingerprint(different[i]) == found[i]
+        assert fingerprint(copy.deepcopy(different[i])) == found[i]
+
+
+class Own(BatchController):
+    """Somebody's own, that keeps nothing of what it was made with where others would look."""
+
+    def __init__(self, hand: dexctl.HandModel, gain: object) -> None:
+        super().__init__(hand)
+        self._gain = gain
+
+    def reset(self, seed: ArrayLike | None = None, mask: ArrayLike | None = None) -> None:
+        """Nothing to forget."""
+
+    def act_batch(self, state: GraspState) -> np.ndarray:
+        return np.zeros_like(state.q)
+
+
+def test_controllers_of_others(dex5: dexctl.HandModel, tmp_path: Path, calls: list[str]) -> None:
+    """What they were made with counts, too; nothing is kept where nobody can tell what it is."""
+    file = tmp_path / "gains.txt"
+    file.write_text("1 2")
+    inside = [0.1, {"a": [1, 2], "b": {3, 4}}, np.arange(3), np.arange(3.0), file, Own(dex5, 1)]
+    found = [fingerprint(Own(dex5, one)) for one in inside]
+    assert None not in found and len(set(found)) == len(inside)
+    again = [fingerprint(Own(dex5, one)) for one in (*inside[:4], str(file), Own(dex5, gain=1))]
+    assert again[:5] == found[:5]
+    file.write_text("1 3")
+    assert fingerprint(Own(dex5, file)) not in found
+    unknown = dexctl.Superposition([Own(dex5, lambda: 1)])
+    assert fingerprint(unknown) is None
+    store = EvaluationStore(tmp_path / "points")
+    for _ in range(2):
+        store(unknown, SHORT)
+    assert (len(calls), store.found) == (2, 0) and not (tmp_path / "points").exists()
 
 
 def test_a_killed_sweep_continues(tmp_path: Path) -> None:
