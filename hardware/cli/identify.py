@@ -16,6 +16,7 @@ from dexctl.cli.output import print_json, results, table, to_json
 from dexctl.cli.parsing import Switch
 from dexctl.files import aside, write_text
 from dexctl.hands.identity import identity
+from dexctl.settings import changed
 from dexctl.state import Floats
 from hardware.findings import joint_names
 from hardware.identification import EXPLAINED, Fit, JointDynamics, identify
@@ -30,7 +31,8 @@ class Identify:
 
     The log is best one of `dexctl hardware run chirp`, which moves the empty hand; of fingers that
     hold an object only stiffness and latency can be told. What is found is written as ranges too,
-    with which policies can be trained and tested: `dexctl evaluate --conditions ranges.toml`.
+    and the gains that they are shares of, with which policies can be trained and tested: `dexctl
+    train` and `dexctl evaluate` take --conditions ranges.toml.
     """
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
@@ -48,7 +50,8 @@ class Identify:
         hand = hands.load(hand_of(log, self.hand))
         check_joints(log, hand)
         armature = rotor_inertia(hand, fit)
-        ranges = ranges_of(hand, fit.dynamics, armature, log.run)
+        gains = gains_of(log.run)
+        ranges = ranges_of(hand, fit.dynamics, armature, gains)
         folder = make_folder(self.out if self.out is not None else self.log.parent)
         names = joint_names(log)
         said = {
@@ -59,10 +62,11 @@ class Identify:
             **{name: _listed(value) for name, value in fit.dynamics._asdict().items()},
             "armature": _listed(armature),
             "explained": fit.dynamics.explained.tolist(),
+            "gains": gains,
             "ranges": {name: list(value) for name, value in ranges.items()},
         }
         write_text(folder / FIGURES, to_json(said) + "\n")
-        write_text(folder / RANGES, toml_of(ranges, self.log.name))
+        write_text(folder / RANGES, toml_of(gains, ranges, self.log.name))
         draw(fit, names, folder / PICTURE)
         if self.json:
             print_json(said)
@@ -83,8 +87,21 @@ def rotor_inertia(hand: HandModel, fit: Fit) -> Floats:
     return np.maximum(fit.dynamics.inertia - links, 0.0)
 
 
+def gains_of(run: Mapping[str, Any]) -> dict[str, float]:
+    """The gains that all servos of a log were told, as settings of a scene.
+
+    Those told otherwise joint by joint are none: the hand's file has such, and a scene has them
+    from there.
+
+    Args:
+        run: what the log says first.
+    """
+    every = {"stiffness": "stiffness_nm_per_rad", "damping": "damping_nms_per_rad"}
+    return {name: float(run[key]) for name, key in every.items() if np.ndim(run[key]) == 0}
+
+
 def ranges_of(
-    hand: HandModel, found: JointDynamics, armature: Floats, run: Mapping[str, Any]
+    hand: HandModel, found: JointDynamics, armature: Floats, gains: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
     """Ranges of `dexctl.sim.Randomisation` that hold what was found.
 
@@ -94,25 +111,19 @@ def ranges_of(
     what no joint tells is left out.
 
     Args:
-        hand: whose file has the damping of the joints.
+        hand: which.
         found: of the joints.
         armature: ``(d,)`` [kg m^2].
-        run: what the log says first.
+        gains: settings of the scene whose stiffness and damping the shares are of.
     """
-    from dexctl.sim.file_settings import lean_model
-    from dexctl.sim.hand_spec import hand_spec
+    from dexctl.sim.scene_config import SceneConfig
 
-    model = lean_model(hand_spec(hand).spec, hand)
-    columns = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
-    told_stiffness, told_damping = (
-        np.asarray(run[name], float) for name in ("stiffness_nm_per_rad", "damping_nms_per_rad")
-    )
-    damping = told_damping + model.dof_damping[columns]
+    (scene,) = changed(SceneConfig(), gains).scenes(hand)
     explained = found.explained
     told = explained | found.measured_torque
     every = {
-        "stiffness_range": (found.stiffness / told_stiffness, told),
-        "damping_range": (found.damping / damping, explained),
+        "stiffness_range": (found.stiffness / scene.stiffness, told),
+        "damping_range": (found.damping / scene.damping, explained),
         "gear_friction_range": (found.friction, explained),
         "armature_range": (armature, explained),
         "action_latency_range": (found.latency, told),
@@ -127,9 +138,12 @@ def _range(values: Floats) -> tuple[float, float]:
     return float(max(low - room, 0.5 * low)), float(high + room)
 
 
-def toml_of(ranges: Mapping[str, tuple[float, float]], source: str) -> str:
-    """Conditions as a file, for `dexctl evaluate --conditions`."""
+def toml_of(
+    gains: Mapping[str, float], ranges: Mapping[str, tuple[float, float]], source: str
+) -> str:
+    """Conditions as a file: the gains that the shares are of, and the ranges."""
     lines = [f"# What {source} tells of the hand's joints."]
+    lines += [f"{name} = {value!r}" for name, value in gains.items()]
     lines += [f"{name} = [{low:.4g}, {high:.4g}]" for name, (low, high) in ranges.items()]
     return "\n".join(lines) + "\n"
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
-from dexctl.cli.parsing import Switch, given
+from dexctl.cli.parsing import Switch, given, said
 from dexctl.controllers import label
 from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.settings import NESTED, difference, to_plain
@@ -41,6 +41,9 @@ class Train:
     """Where the defaults come from: fast, which learns to gait within 1 million steps, thesis, or
     distil, which makes one policy of controllers and other policies."""
     config: Annotated[TrainConfig, NESTED] = TrainConfig()
+    conditions: tuple[str, ...] = ()
+    """Named ranges and limits, as `dexctl evaluate` takes them, or a .toml of settings, such as the
+    ranges that `dexctl hardware identify` writes. What is typed beside them counts."""
     out: Path | None = None
     """Folder of the run; by default runs/METHOD-CONTROLLERS-OBJECT-SEED."""
     resume: Path | None = None
@@ -50,11 +53,18 @@ class Train:
 
     @classmethod
     def defaults(cls, argv: Sequence[str]) -> Self:
-        """The recipe's settings, or those of the run that is resumed."""
+        """The recipe's settings under the conditions, or those of the run that is resumed."""
         name, run = given(argv, "--recipe") or RECIPE, given(argv, "--resume")
         if run is not None:
             return cls(recipe=name, config=_config_of(Path(run)))
-        return cls(recipe=name, config=recipe(name, given(argv, "--method")))
+        config = recipe(name, given(argv, "--method"))
+        before = said(cls, argv) if given(argv, "--conditions") else None
+        if before is not None:
+            from dexctl.sim.conditions import under
+
+            scene = under(config.env.scene, *before.conditions)
+            config = replace(config, env=replace(config.env, scene=scene))
+        return cls(recipe=name, config=config)
 
     def run(self) -> int:
         if find_spec("torch") is None:
@@ -64,6 +74,11 @@ class Train:
             config.env.scene.check_objects()
             folder = (self.out or self._folder()).expanduser()
         else:
+            if self.conditions:
+                raise InvalidInput(
+                    f"with --resume, only --steps may be given: got --conditions "
+                    f"{' '.join(self.conditions)}"
+                )
             folder = self.resume.expanduser()
             before = to_plain(replace(_config_of(folder), steps=config.steps))
             other = difference(before, to_plain(config))

@@ -17,9 +17,10 @@ from dexctl.settings import changed
 from dexctl.sim.conditions import under
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.state import Floats
+from hardware.cli.identify import gains_of, ranges_of
 from hardware.cli.run import make_controller
 from hardware.emulator.mujoco_hand import MujocoHand
-from hardware.identification import fit
+from hardware.identification import JointDynamics, fit
 from hardware.log import LogWriter
 from hardware.motions import Chirp
 from hardware.registers import RADIANS_PER_TICK
@@ -149,7 +150,10 @@ def test_the_command_writes_ranges_to_train_with(
     assert "f5_flexion2" in shown and "N m/rad" in shown
     said = json.loads((there / "identification.json").read_text())
     np.testing.assert_allclose(said["armature"], 0.002, atol=0.001)
-    config = under(SceneConfig(), str(there / "ranges.toml")).randomisation
+    scene = under(SceneConfig(stiffness=1.0), str(there / "ranges.toml"))
+    assert (scene.stiffness, scene.damping) == (TOLD, 0.15)  # what the shares are of
+    assert said["gains"] == {"stiffness": TOLD, "damping": 0.15}
+    config = scene.randomisation
     for found, hidden in (
         (config.stiffness_range, STIFFNESS / TOLD),
         (config.damping_range, (DAMPING + 0.02) / 0.17),
@@ -159,6 +163,26 @@ def test_the_command_writes_ranges_to_train_with(
     ):
         assert found is not None and found[0] < hidden < found[1]
     assert (there / "identification.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_ranges_hold_what_was_found_whatever_the_servos_were_told(dex5: HandModel) -> None:
+    """The shares are of the gains that the file sets, or of those of the hand's own file."""
+    every = np.full(dex5.nq, 0.1)
+    found = JointDynamics(
+        stiffness=np.linspace(3.8, 4.0, dex5.nq), servo_damping=every, damping=every + 0.1,
+        friction=every, inertia=every, latency=every, offset=every, residual=0.0 * every,
+        measured_torque=every > 0,
+    )  # fmt: skip
+    each = [4.0] * (dex5.nq - 1) + [5.0]
+    for stiffness, damping in ((4.0, 0.2), (each, 0.2), (each, each)):
+        gains = gains_of({"stiffness_nm_per_rad": stiffness, "damping_nms_per_rad": damping})
+        assert ("stiffness" in gains, "damping" in gains) == (stiffness == 4.0, damping == 0.2)
+        ranges = ranges_of(dex5, found, every, gains)
+        (scene,) = changed(SceneConfig(), gains).scenes(dex5)
+        for name, values in (("stiffness", found.stiffness), ("damping", found.damping)):
+            low, high = ranges[f"{name}_range"]
+            own = getattr(scene, name)
+            assert (low * own < values).all() and (values < high * own).all()
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -84,6 +85,8 @@ def test_a_run_leaves_logs_a_checkpoint_and_a_policy(
         command(*SMALL, "--out", str(folder)).run()
     with pytest.raises(InvalidInput, match="only --steps may be given: seed was 0, is 1"):
         command("--resume", str(folder), "--seed", "1").run()
+    with pytest.raises(InvalidInput, match="only --steps may be given: got --conditions limits"):
+        command("--resume", str(folder), "--conditions", "limits").run()
 
 
 def test_ctrl_c_says_what_is_saved_and_how_to_go_on(tmp_path: Path) -> None:
@@ -139,6 +142,8 @@ def test_ctrl_c_says_what_is_saved_and_how_to_go_on(tmp_path: Path) -> None:
         ("--recipe slow", "unknown recipe 'slow'; known: thesis, fast"),
         ("--method rl+bc --controller igm gait", "'rl\\+bc' has the controllers igm, gait at once"),
         ("--resume /nowhere/at/all", "there is no run in /nowhere/at/all"),
+        ("--conditions moon", "unknown conditions 'moon'; known: nominal, limits"),
+        ("--conditions none.toml", "cannot read none.toml: No such file"),
     ],
 )
 def test_bad_input(
@@ -173,6 +178,18 @@ def test_a_run_can_be_resumed_from_another_folder(
     assert command("--resume", str(run), "--steps", "240").run() == 0
     found = RunFolder(run).config().env.scene.initial_states
     assert found == tmp_path.resolve() / "states.npz"
+
+
+def test_conditions_are_trained_in(tmp_path: Path) -> None:
+    """By name, and as `dexctl hardware identify` writes them; what is typed counts."""
+    file = tmp_path / "ranges.toml"
+    file.write_text("stiffness = 4.0\nstiffness_range = [0.9, 1.1]\narmature_range = [0, 0.01]\n")
+    config = command("--conditions", "limits", str(file), "--env.armature-range", "0,0.02").config
+    scene = config.env.scene
+    assert scene.stiffness == 4.0 and scene.randomisation.stiffness_range == (0.9, 1.1)
+    assert scene.randomisation.armature_range == (0.0, 0.02)
+    assert scene.limits.speed_limit == 0.6
+    assert replace(config.env, scene=command().config.env.scene) == command().config.env
 
 
 def test_the_configuration_is_the_command_line(tmp_path: Path) -> None:
