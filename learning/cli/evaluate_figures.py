@@ -12,7 +12,7 @@ from dexctl.files import aside
 from dexctl.report.style import FAINT, INK, drawing, finger_colour, new_figure
 from dexctl.statistics import Estimate, wilson
 from learning.evaluation.figures import FULL_TURN, Evaluation
-from learning.evaluation.robustness import disturbance
+from learning.evaluation.robustness import disturbance, levels_of
 from learning.evaluation.transfer import Transfer
 
 if TYPE_CHECKING:
@@ -80,11 +80,16 @@ def _survival(axes: Axes, one: Evaluation) -> None:
 
 
 def draw_robustness(path: Path, evaluations: Sequence[Evaluation]) -> None:
-    """A column for each kind of disturbance: rotation above, share dropped below."""
+    """A column for each kind of disturbance: rotation above, share dropped below.
+
+    Args:
+        path: of the PNG file.
+        evaluations: of each object, that of the protocol as it is first.
+    """
     objects = list(dict.fromkeys(one.object for one in evaluations))
-    kinds = [
-        kind for kind in _KINDS if any(disturbance(e.protocol).kind == kind for e in evaluations)
-    ]
+    base = evaluations[0].protocol
+    disturbed = [disturbance(one.protocol, base).kind for one in evaluations]
+    kinds = [kind for kind in _KINDS if kind in disturbed]
     with drawing():
         figure = new_figure(2.3 * len(kinds) + 0.6, 5.0)
         axes = figure.subplots(2, len(kinds), sharex="col", sharey="row", squeeze=False)
@@ -93,11 +98,11 @@ def draw_robustness(path: Path, evaluations: Sequence[Evaluation]) -> None:
             for i, name in enumerate(objects):
                 rows = [
                     one
-                    for one in evaluations
-                    if one.object == name and disturbance(one.protocol).kind in ("", kind)
+                    for one, what in zip(evaluations, disturbed, strict=True)
+                    if one.object == name and what in ("", kind)
                 ]
-                rows.sort(key=lambda one: disturbance(one.protocol).level)
-                levels = [disturbance(one.protocol).level * factor for one in rows]
+                rows.sort(key=lambda one: levels_of(one.protocol)[kind])
+                levels = [levels_of(one.protocol)[kind] * factor for one in rows]
                 figures = [one.figures() for one in rows]
                 _band(column[0], levels, [f["rotation_median_rad"] for f in figures], i, name)
                 _band(column[1], levels, [f["share_dropped"] for f in figures], i, name, 100.0)

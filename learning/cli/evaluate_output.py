@@ -156,7 +156,7 @@ def _disturbances(rows: Sequence[Evaluation]) -> Table:
     for one in rows:
         figures = one.figures()
         made.add_row(
-            _disturbed(one),
+            _disturbed(one, rows[0]),
             interval(figures["rotation_median_rad"]),
             f"{figures['revolutions_median'].value:.2f}",
             interval(figures["share_dropped"], "%", 0, 100.0),
@@ -184,6 +184,6 @@ def _episodes(protocol: Protocol) -> str:
     )
 
 
-def _disturbed(one: Evaluation) -> str:
-    kind, level = disturbance(one.protocol)
+def _disturbed(one: Evaluation, first: Evaluation) -> str:
+    kind, level = disturbance(one.protocol, first.protocol)
     return f"{kind.replace('_', ' ')} {level:g}{_UNITS.get(kind, '')}" if kind else "none"

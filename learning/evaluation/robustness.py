@@ -48,14 +48,18 @@ def levels_of(protocol: Protocol) -> dict[str, float]:
     return {kind: get(protocol, leaves(Protocol)[kind]) for kind in KINDS}
 
 
-def disturbance(protocol: Protocol) -> Disturbance:
-    """What `protocols` has changed: the first kind that there is."""
-    found = (Disturbance(kind, level) for kind, level in levels_of(protocol).items() if level)
+def disturbance(protocol: Protocol, base: Protocol) -> Disturbance:
+    """What `protocols` has made of ``base`` in ``protocol``: none in ``base`` itself."""
+    own = levels_of(base)
+    found = (Disturbance(*one) for one in levels_of(protocol).items() if one[1] != own[one[0]])
     return next(found, Disturbance("", 0.0))
 
 
 def protocols(base: Protocol, levels: Mapping[str, tuple[float, ...]] = LEVELS) -> list[Protocol]:
-    """``base`` undisturbed, then with each kind of disturbance at each level.
+    """``base`` as it is, then with each kind of disturbance at each level.
+
+    What ``base`` has of a kind is replaced where that is disturbed, and stays where another is;
+    levels that are no more than it has itself are left out.
 
     Raises:
         UnknownName: no such kind of disturbance.
@@ -64,8 +68,9 @@ def protocols(base: Protocol, levels: Mapping[str, tuple[float, ...]] = LEVELS) 
     for kind in levels:
         if kind not in KINDS:
             raise UnknownName("disturbance", kind, KINDS)
-    base = changed(base, dict.fromkeys(KINDS, 0.0))
-    return [base, *(changed(base, {k: level}) for k, row in levels.items() for level in row)]
+    own = levels_of(base)
+    every = [(k, changed(base, {k: level})) for k, row in levels.items() for level in row]
+    return [base, *(one for kind, one in every if levels_of(one)[kind] > own[kind])]
 
 
 def robustness(
@@ -77,10 +82,10 @@ def robustness(
     run: Run = evaluate,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Evaluation]:
-    """Evaluations undisturbed, then with each kind of disturbance at each level.
+    """Evaluations by the protocol as it is, then with each kind of disturbance at each level.
 
     Args:
-        who, protocol, object: as `rollout`'s; the protocol's own noise and force are replaced.
+        who, protocol, object: as `rollout`'s; see `protocols`.
         levels: by kind, see `Disturbance`.
         run: evaluates; a `learning.evaluation.store.EvaluationStore` keeps what is finished.
         progress: called after each evaluation with how many are done, and of how many.

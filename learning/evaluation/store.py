@@ -23,7 +23,7 @@ from dexctl.settings import changed, get, paths, to_plain
 from learning.evaluation.figures import Evaluation
 from learning.evaluation.fingerprint import fingerprint, of_file
 from learning.evaluation.protocol import Protocol
-from learning.evaluation.robustness import disturbance
+from learning.evaluation.robustness import levels_of
 from learning.evaluation.rollout import Progress, evaluate, one_object
 from learning.evaluation.subject import Subject
 
@@ -77,8 +77,8 @@ class EvaluationStore:
         return made
 
     def _path(self, name: str, protocol: Protocol, about: str) -> Path:
-        kind, level = disturbance(protocol)
-        disturbed = f"-{kind}-{level:g}" if kind else ""
+        noises = levels_of(protocol).items()
+        disturbed = "".join(f"-{kind}-{level:g}" for kind, level in noises if level)
         digest = hashlib.sha256(about.encode()).hexdigest()[:16]
         return self._folder / f"{name}{disturbed}-{digest}.npz"
 

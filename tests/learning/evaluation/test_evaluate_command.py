@@ -81,6 +81,21 @@ def test_files_say_the_conditions(tmp_path: Path) -> None:
         assert {row["conditions"] for row in rows} == {"everything any-gravity"}
 
 
+def test_robustness_under_conditions_says_what_it_ran(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The noise of the heading is in every row."""
+    arguments = ("--episodes", "2", "--seconds", "0.1", "--out", str(tmp_path / "out"))
+    assert run("hold", "--conditions", "everything", "--robustness", *arguments) == 0
+    table = capsys.readouterr().out
+    assert "normal noise 0.1 rad" in table.splitlines()[0] and table.count("none") == 1
+    with (tmp_path / "out" / "figures.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 21 and {row["force_noise"] for row in rows} == {"0.5"}
+    assert [row["normal_noise"] for row in rows].count("0.1") == 17
+    assert (tmp_path / "out" / "robustness.png").exists()
+
+
 def test_one_table_of_figures(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("igm", "--episodes", "2", "--seconds", "0.2", "--axis=0,0,-1") == 0
     table = capsys.readouterr().out

@@ -16,12 +16,20 @@ import dexctl
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import changed
+from dexctl.sim.conditions import CONDITIONS
 from learning.envs import EnvConfig, make_vector
 from learning.evaluation import Evaluation, Protocol, evaluate, open_subject, rollout
 from learning.evaluation.figures import drift_of
 from learning.evaluation.files import write_episodes
 from learning.evaluation.judged import Goals
-from learning.evaluation.robustness import LEVELS, Disturbance, disturbance, protocols, robustness
+from learning.evaluation.robustness import (
+    LEVELS,
+    Disturbance,
+    disturbance,
+    levels_of,
+    protocols,
+    robustness,
+)
 
 SHORT = changed(Protocol(), {"episodes": 4, "seconds": 1.0, "threads": 1, "object": "cylinder"})
 
@@ -220,7 +228,7 @@ def test_robustness_goes_through_every_level(dex5: dexctl.HandModel, tmp_path: P
         {"joint_noise": (0.1,), "force_noise_share": (0.25,), "push_force": (0.5,)},
         progress=lambda i, total: done.append((i, total)),
     )
-    assert [disturbance(one.protocol) for one in found] == [
+    assert [disturbance(one.protocol, found[0].protocol) for one in found] == [
         ("", 0.0), ("joint_noise", 0.1), ("force_noise_share", 0.25), ("push_force", 0.5),
     ]  # fmt: skip
     assert not np.array_equal(found[3].rotation, found[0].rotation)
@@ -238,16 +246,32 @@ def test_the_sweeps_go_as_far_as_the_thesis_does() -> None:
         "joint_noise": 0.1, "position_noise": 0.01, "normal_noise": 0.5, "force_noise_share": 0.5,
         "push_force": 2.0,
     }  # fmt: skip
-    disturbed = {"joint_noise": 0.3, "push_force": 1.0, "sensor_latency": 0.1, "gravity": "down"}
-    every = protocols(changed(Protocol(), disturbed))
+    base = changed(Protocol(), {"sensor_latency": 0.1, "gravity": "down"})
+    every = protocols(base)
     assert len(every) == 21
     assert {one.scene.gravity for one in every} == {"down"}
     assert {one.scene.sensing.sensor_latency for one in every} == {0.1}
-    found = [disturbance(one) for one in every]
+    found = [disturbance(one, base) for one in every]
     assert found[0] == Disturbance("", 0.0)
     assert found[4] == Disturbance("joint_noise", 0.1)
     assert found[-1] == Disturbance("push_force", 2.0)
     assert len(set(found)) == 21
+
+
+def test_what_is_disturbed_already_stays_so() -> None:
+    """Levels come on top of the protocol's own noise, which the row of none has, too."""
+    noise = dict(CONDITIONS["noise"])
+    base = changed(Protocol(), noise | {"joint_noise": 0.05, "push_force": 2.0})
+    every = protocols(base)
+    found = [disturbance(one, base) for one in every]
+    assert every[0] == base and found[0] == Disturbance("", 0.0)
+    assert found[1:3] == [Disturbance("joint_noise", 0.075), Disturbance("joint_noise", 0.1)]
+    assert len(set(found)) == len(found) == 1 + 2 + 4 + 4 + 4  # what is no more is left out
+    for one, (kind, level) in zip(every, found, strict=True):
+        assert levels_of(one) == levels_of(base) | ({kind: level} if kind else {})
+        assert one.scene.sensing.joint_offset == base.scene.sensing.joint_offset
+    with pytest.raises(InvalidInput, match="push_force is -1"):
+        protocols(base, {"push_force": (-1.0,)})
 
 
 def test_how_many_hold_it() -> None:

@@ -20,6 +20,7 @@ import dexctl
 from dexctl import controllers
 from dexctl.controller import BatchController
 from dexctl.settings import changed, get, paths
+from dexctl.sim.conditions import CONDITIONS
 from dexctl.state import GraspState
 from learning.evaluation import Protocol, evaluate
 from learning.evaluation import store as stores
@@ -54,6 +55,10 @@ def test_what_is_finished_is_not_done_again(
     assert [path.name.rpartition("-")[0] for path in files] == [
         "cube", "cube-joint_noise-0.1", "cube-push_force-0.5", "cube-push_force-1",
     ]  # fmt: skip
+    EvaluationStore(tmp_path / "noise")(hold, changed(SHORT, CONDITIONS["everything"]))
+    (file,) = (tmp_path / "noise").iterdir()  # named by all noise that there is
+    assert file.name.startswith("cube-position_noise-0.002-normal_noise-0.1-force_noise-0.5-")
+    calls.pop()
     files[2].unlink()
     files[3].write_bytes(files[3].read_bytes()[:100])  # cut short by who knows what
     store = EvaluationStore(tmp_path / "points")
