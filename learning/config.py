@@ -185,6 +185,7 @@ class TrainConfig:
             raise InvalidInput(
                 f"start_from is {start!r} and initial_states is {file}; expected one of them"
             )
+        self.env.task.check_starts(start not in ("fixed", "gravity") or file is not None)
         draws = self.env.scene.randomisation
         if start == "gravity" and draws.draws_gravity:
             raise InvalidInput(

@@ -77,6 +77,18 @@ class TaskConfig:
             f"wanted; expected {' or '.join(self.tells)} among them"
         )
 
+    def check_starts(self, elsewhere: bool) -> None:
+        """Raise InvalidInput where episodes begin where they are to come to.
+
+        Args:
+            elsewhere: whether they begin anywhere else than in the settled grasp.
+        """
+        if self.goals == "root" and not elsewhere:
+            raise InvalidInput(
+                "goals is 'root', which is the settled grasp, and there episodes begin; expected "
+                "initial_states, or in a training start_from grasps, paths or explored"
+            )
+
     def build(self, simulation: Simulation) -> Task:
         """The task in these environments."""
         if self.goals == NO_GOALS:

@@ -74,7 +74,8 @@ def rollout(
 
     Raises:
         UnknownName: no such object.
-        InvalidInput: several objects, or the subject does not fit the protocol.
+        InvalidInput: several objects, the subject does not fit the protocol, or the goal is where
+            the episodes begin.
         SimulationError: the hand does not hold the object.
     """
     from dexctl.sim import Simulation, run
@@ -83,6 +84,7 @@ def rollout(
         protocol = who.protocol() if isinstance(who, Subject) else Protocol()
     name = one_object(protocol) if object is None else object
     controller = who.acting(protocol) if isinstance(who, Subject) else who
+    protocol.task.check_starts(protocol.scene.initial_states is not None)
     config = replace(
         protocol.scene, object=(name,), control_period=float(controller.control_period)
     )

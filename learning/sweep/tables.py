@@ -90,6 +90,7 @@ def protocol(values: Mapping[str, Any], trained: Sequence[TrainConfig], folder: 
                 "alike; say which in [evaluation]"
             )
     made[0].scene.check_objects("evaluation")
+    made[0].task.check_starts(made[0].scene.initial_states is not None)
     if made[0].seconds < made[0].scene.control_period:
         raise InvalidInput(
             f"evaluation.seconds is {made[0].seconds}; expected at least one control period of "

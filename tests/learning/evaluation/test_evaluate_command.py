@@ -217,7 +217,26 @@ def test_who_is_not_told_what_is_wanted_is_refused(
 def test_who_is_told_is_evaluated(asked: tuple[str, ...]) -> None:
     words = ("--episodes", "1", "--seconds", "0.1", "--object", "cube")
     assert run("goal", *words, *asked) == 0
-    assert run("hold", *words, "--goals", "root") == 0  # which never varies
+
+
+def test_the_root_is_gone_to_from_elsewhere(tmp_path: Path) -> None:
+    """Whoever starts there has come to it by doing nothing."""
+    words = ("--episodes", "1", "--seconds", "0.1", "--object", "cube", "--goals", "root")
+    with pytest.raises(InvalidInput, match="goals is 'root', .* expected initial_states"):
+        run("hold", *words)
+    with Simulation(SceneConfig(threads=1), 1, 0) as made:
+        state, hand = made.state, made.hand
+    assert state.object_position is not None and state.object_quaternion is not None
+    GraspStates(
+        hand="dex5",
+        q=state.q,
+        q_target=state.q_target,
+        object_position=state.object_position,
+        object_quaternion=state.object_quaternion,
+        object=np.array(["cube"]),
+        joint_names=np.array(hand.joint_names),
+    ).save(tmp_path / "states.npz")
+    assert run("hold", *words, "--from", str(tmp_path / "states.npz")) == 0  # the root never varies
 
 
 def test_the_transfer_matrix(

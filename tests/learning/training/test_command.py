@@ -134,6 +134,8 @@ def test_ctrl_c_says_what_is_saved_and_how_to_go_on(tmp_path: Path) -> None:
         ("--env.critic-parts drawn drawn", "critic_parts is .*each named once"),
         ("--start-from gravity --env.gravity-tilt 3", "start_from is 'gravity', .* gravity_tilt"),
         ("--start-from grasps --env.size-range 0.9,1.1", "start_from is 'grasps', .* size_range"),
+        ("--env.goals root", "goals is 'root', .* settled grasp, .*expected initial_states"),
+        ("--env.goals root --start-from gravity", "goals is 'root', which is the settled grasp"),
         ("--env.sensor-latency 100", "sensor_latency is 100.0; expected 0 to 10 s"),
         ("--env.action-latency-range 0,11", "latency_range is .*; expected latencies up to 10 s"),
         ("--env.sensor-latency nan", "sensor_latency is nan"),
