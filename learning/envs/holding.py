@@ -27,7 +27,7 @@ class HoldingConfig:
     drop_distance: float = 0.05
     """The object is lost when its centre is this far from where it started [m]."""
     end_on_links: bool = False
-    """Whether the object counts as lost in training where it touches anything but fingertips."""
+    """Whether the object counts as lost where it touches anything but fingertips."""
     drop_cost: float = 0.0
     """Taken off the reward of the step in which the object is lost [rad/s]."""
     drift_cost: float = 0.0

@@ -6,7 +6,7 @@ training (`dexctl.statistics`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +30,9 @@ _MOMENTS = 120
 class Evaluation:
     """What came of N episodes with one object; arrays are ``(N,)``.
 
+    An episode ends where its object is lost, as a success where its last goal is reached, or with
+    the protocol's time.
+
     Attributes:
         object: its name.
         protocol: as evaluated.
@@ -47,7 +50,7 @@ class Evaluation:
         drift: how far the object's centre went along gravity, at most, while it was held; in any
             direction where gravity is drawn for each episode [m].
         moments: times ``(K,)`` [s], from 0 to the end.
-        rotations: at these moments, standing still from the drop on, ``(K, N)`` [rad].
+        rotations: at these moments, standing still from the drop or the end on, ``(K, N)`` [rad].
     """
 
     object: str
@@ -71,13 +74,15 @@ class Evaluation:
     @classmethod
     def of(cls, trace: Trace, scene: Scene, protocol: Protocol, judged: Judged) -> Evaluation:
         """The evaluation of a trace of N episodes in ``scene``, as the task judged them."""
-        held, steps = trace.held, len(trace.time) - 1
+        steps, within, held = len(trace.time) - 1, judged.within(), judged.held(trace)
+        counts = held & within
         moments = np.unique(np.linspace(0, steps, min(_MOMENTS, steps) + 1).round().astype(int))
         goals, rotation = judged.goals(trace), trace.rotation
         if protocol.task.goals == NO_GOALS and protocol.task.turning.commands:
-            last = np.maximum.accumulate(np.where(held, np.arange(steps + 1)[:, None], 0), axis=0)
-            rotation = np.take_along_axis(judged.rotation, last, axis=0)
-        alone = (held & (trace.other_contact == 0.0)).sum(axis=0)
+            rotation = judged.rotation
+        last = np.maximum.accumulate(np.where(counts, np.arange(steps + 1)[:, None], 0), axis=0)
+        rotation = np.take_along_axis(rotation, last, axis=0)
+        alone = (counts & (trace.other_contact == 0.0)).sum(axis=0)
         away = np.linalg.norm(trace.object_position - trace.object_position[0], axis=-1)
         near = np.logical_and.accumulate(
             held & (away <= protocol.task.holding.drop_distance / 2), axis=0
@@ -86,19 +91,20 @@ class Evaluation:
             object=scene.object,
             protocol=protocol,
             rotation=rotation[-1],
-            time_held=trace.time_held,
-            dropped=trace.dropped,
-            strayed=~near[-1],
-            time_near=trace.time[near.sum(axis=0) - 1],
-            diverged=trace.diverged[-1],
+            time_held=trace.time[counts.sum(axis=0) - 1],
+            dropped=np.asarray((within & ~held).any(axis=0)),
+            strayed=np.asarray((within & ~near).any(axis=0)),
+            time_near=trace.time[(within & near).sum(axis=0) - 1],
+            diverged=np.asarray((within & trace.diverged).any(axis=0)),
             returns=judged.returns(trace),
             goals_reached=goals.reached,
             goals_missed=goals.missed,
             goals_in_a_row=goals.in_a_row,
             first_goal_time=goals.first_time,
-            fingertips_only=alone / held.sum(axis=0),
+            fingertips_only=alone / counts.sum(axis=0),
             drift=drift_of(
-                trace, None if protocol.scene.randomisation.draws_gravity else scene.gravity
+                replace(trace, held=counts),
+                None if protocol.scene.randomisation.draws_gravity else scene.gravity,
             ),
             moments=trace.time[moments],
             rotations=rotation[moments],
@@ -113,6 +119,8 @@ class Evaluation:
     def held(self, moments: Floats, *, near: bool = False) -> Floats:
         """How many episodes still hold the object, ``(K,)``, at times ``(K,)`` [s].
 
+        One that has ended as a success does, from then on.
+
         Args:
             moments: the times.
             near: by the stricter rule: hold it within half the drop distance.
@@ -124,8 +132,9 @@ class Evaluation:
     def survival(self, *, near: bool = False) -> tuple[Floats, Floats]:
         """Times ``(K,)`` [s] after which fewer hold the object, and the share that does ``(K,)``.
 
-        Every episode ends at the same time, so this is the Kaplan-Meier estimate. It begins at
-        time 0; the share of a time holds from right after it to the next.
+        Every episode ends at the same time, so this is the Kaplan-Meier estimate; but that one
+        which has ended as a success counts as holding it. It begins at time 0; the share of a time
+        holds from right after it to the next.
 
         Args:
             near: by the stricter rule: hold it within half the drop distance.

@@ -80,6 +80,20 @@ class Judged:
         found = np.array([one.info["rotation"] for one in self._found])
         return np.concatenate([np.zeros((1, found.shape[1])), found])
 
+    def held(self, trace: Trace) -> Bools:
+        """Rows in which the object of an episode has not been lost, ``(T+1, N)``.
+
+        It is lost by the trace's own rule, or by one of the task's (`HoldingConfig.end_on_links`).
+        """
+        lost = np.cumsum([one.dropped for one in self._found], axis=0) > 0
+        return trace.held & np.concatenate([np.ones((1, lost.shape[1]), bool), ~lost])
+
+    def within(self) -> Bools:
+        """Rows up to that at which an episode's last goal is reached, ``(T+1, N)``."""
+        reached = np.cumsum([one.succeeded for one in self._found], axis=0) > 0
+        first = np.ones((2, reached.shape[1]), bool)
+        return np.concatenate([first, ~reached[:-1]])
+
     def _counts(self, trace: Trace) -> Bools:
         """The steps that count, ``(T, N)``: while the object is held and the task is not over.
 

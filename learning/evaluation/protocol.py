@@ -17,7 +17,7 @@ class Protocol:
 
     Episodes begin in the settled grasp, or in the states that are given, with set-points
     disturbed. The object is dropped when its centre is too far from where it started, or when the
-    simulation breaks down; nothing counts after that.
+    simulation breaks down; nothing counts after that, nor after the last of the task's goals.
 
     Raises:
         UnknownName, InvalidInput: a setting is wrong; the message names it.

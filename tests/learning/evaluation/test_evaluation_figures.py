@@ -16,6 +16,7 @@ import dexctl
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.settings import changed
+from dexctl.sim import Trace
 from dexctl.sim.conditions import CONDITIONS
 from learning.envs import EnvConfig, make_vector
 from learning.evaluation import Evaluation, Protocol, evaluate, open_subject, rollout
@@ -86,17 +87,19 @@ def test_half_the_drop_distance_is_the_stricter_rule() -> None:
     held = np.array([[True, True]] * 4 + [[False, True]])
     quaternion = np.tile((1.0, 0.0, 0.0, 0.0), (5, 2, 1))
     nothing = np.zeros((5, 2))
-    trace: Any = SimpleNamespace(
+    trace = Trace(
         time=np.arange(5.0),
         held=held,
+        q=nothing[..., None],
+        q_target=nothing[..., None],
+        contact_force=np.zeros((5, 2, 5)),
+        contact_position=np.zeros((5, 2, 5, 3)),
+        contact_normal=np.zeros((5, 2, 5, 3)),
         object_position=position,
         object_quaternion=quaternion,
         other_contact=nothing,
         in_contact=np.ones((5, 2, 5), bool),
         rotation=nothing,
-        final_rotation=nothing[-1],
-        time_held=np.array([3.0, 4.0]),
-        dropped=np.array([True, False]),
         diverged=nothing > 0,
     )
     scene: Any = SimpleNamespace(
@@ -107,7 +110,12 @@ def test_half_the_drop_distance_is_the_stricter_rule() -> None:
     )
     none = np.zeros(2, int)
     goals = Goals(reached=none, missed=none, in_a_row=none, first_time=np.full(2, np.inf))
-    judged: Any = SimpleNamespace(returns=lambda trace: np.zeros(2), goals=lambda trace: goals)
+    judged: Any = SimpleNamespace(
+        returns=lambda trace: np.zeros(2),
+        goals=lambda trace: goals,
+        held=lambda trace: trace.held,
+        within=lambda: np.ones((5, 2), bool),
+    )
     found = Evaluation.of(trace, scene, Protocol(episodes=2), judged)
     assert found.strayed.tolist() == [True, False]
     assert found.time_near.tolist() == [1.0, 4.0]
@@ -197,6 +205,33 @@ def test_goals_are_the_environments() -> None:
     np.testing.assert_array_equal(found.evaluation.goals_reached, info["goals"])
     assert found.evaluation.goals_missed.any()
     envs.close()
+
+
+def test_an_episode_ends_where_its_task_says_so() -> None:
+    """As a success with the last goal, and lost where links touch: nothing counts after that."""
+    subject = open_subject("goal")
+    asked = {"goals": "yaw", "goal_angle": 0.6, "success_joint_speed": 9.0, "goal_count": 1}
+    protocol = changed(SHORT, {**asked, "least_goal_angle": 0.7})
+    found = rollout(subject, changed(protocol, {"episodes": 8}))
+    one, trace = found.evaluation, found.trace
+    over = np.isfinite(one.first_goal_time)
+    assert over.any() and not over.all() and not trace.dropped.any()
+    np.testing.assert_array_equal(one.time_held[over], one.first_goal_time[over])
+    assert (one.time_held[~over] == 1.0).all() and not one.dropped.any()
+    rows = np.rint(one.time_held / 0.05).astype(int)
+    np.testing.assert_array_equal(one.rotation, trace.rotation[rows, np.arange(8)])
+    assert (one.rotation[over] != trace.final_rotation[over]).all()
+    assert (one.held(np.array([0.0, 1.0])) == 8).all()
+
+    weak = changed(SHORT, {"stiffness": 0.3, "end_on_links": True})  # some sink on to the links
+    found = rollout(open_subject("hold"), weak)
+    one, touched = found.evaluation, found.trace.other_contact[1:] > 0
+    assert not found.trace.dropped.any()
+    np.testing.assert_array_equal(one.dropped, touched.any(axis=0))
+    assert one.dropped.any() and not one.dropped.all()
+    first = np.where(one.dropped, touched.argmax(axis=0), 20)
+    np.testing.assert_allclose(one.time_held, 0.05 * first)
+    assert (one.fingertips_only == 1.0).all()
 
 
 def test_a_nearer_drop_distance_drops_sooner() -> None:
