@@ -90,7 +90,11 @@ class SceneConfig:
         hands.check(self.hand)
         if not self.object:
             raise InvalidInput("object is (); expected a name, or several")
-        gravity_vector(self.gravity)
+        if not gravity_vector(self.gravity).any() and self.randomisation.draws_gravity:
+            raise InvalidInput(
+                f"gravity is {self.gravity}, and gravity_tilt or gravity_turning_range turns it; "
+                "expected a gravity that is not zero with it"
+            )
         check_numbers(
             self,
             positive=("control_period",),

@@ -404,6 +404,13 @@ def test_ranges_that_are_none(settings: dict[str, Any], said: str) -> None:
         Randomisation(**settings)
 
 
+@pytest.mark.parametrize("drawn", [{"gravity_tilt": 1.0}, {"gravity_turning_range": (0.0, 0.5)}])
+def test_there_has_to_be_gravity_to_turn(drawn: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInput, match=r"gravity is \(0.0, 0.0, 0.0\), and gravity_tilt or"):
+        SceneConfig(gravity=(0.0, 0.0, 0.0), randomisation=Randomisation(**drawn))
+    SceneConfig(gravity=(0.0, 0.0, 0.0), randomisation=Randomisation(mass_range=(0.1, 0.2)))
+
+
 def test_sizes_and_given_starts_do_not_go_together(tmp_path: Any) -> None:
     config = SceneConfig(randomisation=EVERYTHING, initial_states=tmp_path / "states.npz")
     with pytest.raises(InvalidInput, match="size_range is .* and initial_states is"):
