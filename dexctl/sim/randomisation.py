@@ -16,7 +16,7 @@ from dexctl.sim.pushes import Push
 from dexctl.sim.sensing import Sensing
 from dexctl.state import Bools, Floats
 from dexctl.streams import Streams, StreamsState
-from dexctl.validation import check_numbers
+from dexctl.validation import check_numbers, check_pair
 
 if TYPE_CHECKING:
     from dexctl.sim.scene import Scene
@@ -157,17 +157,12 @@ WIDENED = tuple(
 
 
 def _check_range(name: str, value: object) -> None:
-    low, high = np.asarray(value, float)
-    if name in _ANY:
-        right, which = True, ""
-    elif name in _MAY_BE_ZERO:
-        right, which = low >= 0, " from 0 on"
-    else:
-        right, which = low > 0, " above 0 on"
-    if not (np.isfinite([low, high]).all() and right and low <= high):
-        raise InvalidInput(
-            f"{name} is {value}; expected two finite numbers{which}, the lower one first"
-        )
+    which = "" if name in _ANY else " from 0 on" if name in _MAY_BE_ZERO else " above 0 on"
+    expected = f"two finite numbers{which}, the lower one first"
+    low, high = check_pair(name, value, expected)
+    right = name in _ANY or low > 0 or (low == 0 and name in _MAY_BE_ZERO)
+    if not (right and low <= high):
+        raise InvalidInput(f"{name} is {value}; expected {expected}")
 
 
 class Drawn(NamedTuple):

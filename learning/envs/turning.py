@@ -11,7 +11,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.rotations import inverse, multiply, rotate, shortest, twist_angle
 from dexctl.settings import Names, Range, Vector
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import AXES, check_name, check_numbers, check_whole, unit_axis
+from dexctl.validation import AXES, check_name, check_numbers, check_pair, check_whole, unit_axis
 from learning.envs.holding import HoldingConfig, distance_from_start
 from learning.envs.observation import ANY
 from learning.envs.task import Judgement, Step, Task
@@ -63,11 +63,11 @@ class TurningConfig:
         unit_axis(self.axis)
         for name in self.commands:
             check_name("command", name, (*AXES, ANY))
-        low, high = self.command_speed_range
-        if not 0 < low <= high < np.inf:
+        expected = "two finite numbers above 0, the lower one first"
+        low, high = check_pair("command_speed_range", self.command_speed_range, expected)
+        if not 0 < low <= high:
             raise InvalidInput(
-                f"command_speed_range is {self.command_speed_range}; expected two finite "
-                "numbers above 0, the lower one first"
+                f"command_speed_range is {self.command_speed_range}; expected {expected}"
             )
 
     @property

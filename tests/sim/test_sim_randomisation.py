@@ -397,6 +397,11 @@ def test_touch_drops_out_as_often_as_drawn() -> None:
             r"joint_offset_range is \(0.05, -0.05\); expected two finite numbers, the lower",
         ),
         ({"joint_offset_range": (-np.inf, 0.05)}, "joint_offset_range is"),
+        ({"mass_range": (0.1,)}, r"mass_range is \(0.1,\); expected two finite numbers above 0"),
+        ({"mass_range": (0.1, 0.2, 0.3)}, r"mass_range is \(0.1, 0.2, 0.3\); expected two"),
+        ({"mass_range": 0.1}, "mass_range is 0.1; expected two finite numbers"),
+        ({"mass_range": "ab"}, "mass_range is not an array of numbers: 'ab'; expected two"),
+        ({"mass_range": [[0.1, 0.2], [0.1, 0.2]]}, "mass_range is .*; expected two finite"),
     ],
 )
 def test_ranges_that_are_none(settings: dict[str, Any], said: str) -> None:

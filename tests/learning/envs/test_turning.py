@@ -160,6 +160,12 @@ def test_bad_commands(changes: dict[str, Any], message: str) -> None:
         from_plain(EnvConfig, changes)
 
 
+@pytest.mark.parametrize("value", [0.5, (0.5,), "ab"])
+def test_speeds_that_are_told_are_two(value: Any) -> None:
+    with pytest.raises(DexctlError, match="command_speed_range is .*; expected two finite"):
+        TurningConfig(command_speed_range=value)
+
+
 def test_speed_is_measured_at_control_rate() -> None:
     """The speed in info is the pose difference over one control step."""
     from dexctl import controllers
