@@ -138,14 +138,14 @@ class Sensor:
         self._late = np.full(batch, round(sensing.sensor_latency / control_period))
         seen = sensing.object_pose == "tracked"
         self._pose_late = round(sensing.tracker_latency / control_period) * seen  # beside that
-        self._threshold = np.zeros((*batch, 1))
+        self._threshold: Floats | None = None  # that of ``sensing``, which the physics keep to
         self._dropout = np.zeros(batch)
 
     def set_errors(
         self,
         noise: Floats,
         latency: Floats,
-        threshold: Floats,
+        threshold: Floats | None,
         dropout: Floats,
         offset: Floats | float = 0.0,
     ) -> None:
@@ -154,7 +154,7 @@ class Sensor:
         Args:
             noise: all noises, as a share of their standard deviations, ``(N,)``.
             latency: ``(N,)`` [s].
-            threshold: weakest force that counts as touch, ``(N, m)`` [N].
+            threshold: weakest force that counts as touch, ``(N, m)`` [N]; None: as all have it.
             dropout: probability that a touch is not felt in a control step, ``(N,)``.
             offset: what each encoder reads at zero beside what `joint_offset` makes of it,
                 ``(N, d)`` [rad].
@@ -187,7 +187,9 @@ class Sensor:
             self._begin(begin, state.q.shape)
         if np.any(self.offset):
             state = replace(state, q=state.q + self.offset, q_target=state.q_target + self.offset)
-        seen = blurred(state, sensing, self.streams, begin, share=self._share)
+        seen = blurred(
+            state, sensing, self.streams, begin, share=self._share, threshold=self._threshold
+        )
         seen = self._tracked(seen, begin)
         seen = self._felt(seen, begin)
         if self._joint_touch is not None:
@@ -259,7 +261,7 @@ class Sensor:
     def _felt(self, seen: GraspState, begin: Bools | None) -> GraspState:
         """What is left of touch by thresholds and drop-outs."""
         touch = seen.in_contact
-        if self._threshold.any():
+        if self._threshold is not None and self._threshold.any():
             touch = touch & (seen.contact_force >= self._threshold)
         if self._dropout.any():
             drawn = self.streams.uniform(seen.in_contact.shape[1:], begin)
@@ -297,7 +299,7 @@ class Sensor:
             "errors": {
                 "noise": self._share.copy(),
                 "latency": self._late * self._period,
-                "threshold": self._threshold.copy(),
+                "threshold": None if self._threshold is None else self._threshold.copy(),
                 "dropout": self._dropout.copy(),
                 "offset": np.array(self._given),
             },
@@ -322,10 +324,12 @@ def blurred(
     mask: Bools | None = None,
     *,
     share: Floats | float = 1.0,
+    threshold: Floats | None = None,
 ) -> GraspState:
     """``state`` ``(N,)`` with noise on it; only the streams in ``mask`` move on.
 
-    ``share``, one number or ``(N,)``, is how much of the noise there is.
+    ``share``, one number or ``(N,)``, is how much of the noise there is, and ``threshold``
+    ``(N, m)`` the weakest force that counts as touch [N]; None: that of ``sensing``.
     """
     if not sensing.noisy:
         return state
@@ -337,7 +341,7 @@ def blurred(
     force = np.maximum(state.contact_force * factor + sensing.force_noise * fingers[..., 5], 0.0)
     touch = state.in_contact
     if sensing.force_noise:
-        touch = touch & (force >= sensing.touch_threshold)
+        touch = touch & (force >= (sensing.touch_threshold if threshold is None else threshold))
     position = state.contact_position + sensing.position_noise * fingers[..., :3]
     tilt = sensing.normal_noise * _perpendicular(state.contact_normal, fingers[..., 3:5])
     normal = state.contact_normal + tilt

@@ -71,7 +71,7 @@ class Simulation:
             control_period=config.control_period,
             substeps=config.substeps,
             threads=config.threads,
-            touch_threshold=config.sensing.touch_threshold,
+            touch_threshold=_weakest_touch(config),
             disturbance=config.disturbance,
             seed=seeds,
         )
@@ -358,6 +358,12 @@ def spread_seeds(seed: ArrayLike, count: int) -> np.ndarray:
         raise InvalidInput(f"seed is {seed!r}; expected an integer, or {count} of them")
     numbers = np.array([int(one) for one in seeds.flat], object)
     return numbers[0] + np.arange(count).astype(object) if seeds.ndim == 0 else numbers
+
+
+def _weakest_touch(config: SceneConfig) -> float:
+    """Weakest force that any sensor of an episode may count as touch [N]."""
+    usual, drawn = config.sensing.touch_threshold, config.randomisation.touch_threshold_range
+    return usual if drawn is None else min(usual, drawn[0])
 
 
 def _check_count(config: SceneConfig, num_envs: object) -> int:

@@ -371,6 +371,21 @@ def test_sensors_of_each_environment() -> None:
     assert not seen.contact_force[~seen.in_contact].any()
 
 
+@pytest.mark.parametrize("force_noise", [0.0, 1e-6])
+def test_a_threshold_drawn_below_the_scenes_counts(force_noise: float) -> None:
+    """In place of it: the physics may not leave out what a sensor of an episode feels."""
+    sensing = Sensing(touch_threshold=3.0, force_noise=force_noise)
+    drawn = Randomisation(touch_threshold_range=(0.05, 0.06))
+    with Simulation(SceneConfig(threads=1, sensing=sensing, randomisation=drawn), 2, 0) as made:
+        made.step()
+        seen = made.read()
+        assert seen.in_contact.all() and (seen.contact_force < 3.0).all()
+    higher = SceneConfig(threads=1, randomisation=Randomisation(touch_threshold_range=(9.0, 9.0)))
+    with Simulation(higher, 2, 0) as made:
+        made.step()
+        assert not made.read().in_contact.any()
+
+
 def test_touch_drops_out_as_often_as_drawn() -> None:
     sensor = Sensor(Sensing(), Streams(0, (2,)), 0.1)
     sensor.set_errors(np.ones(2), np.zeros(2), np.zeros((2, 2)), np.array([0.0, 0.2]))
