@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dexctl.exceptions import InvalidInput
 from dexctl.state import Bools, Floats
 from hardware.log import Log, limits_of, of_joints
+from hardware.motions import CHIRP, Chirp
 
 STEP = 0.002
 """Of the fit's simulation [s]."""
@@ -55,6 +56,8 @@ class JointDynamics(NamedTuple):
         residual: joints measured less joints computed, RMS [rad].
         measured_torque: whether the measured torque gave the stiffness, ``(d,)``; elsewhere it is
             what the servo was told.
+        cut_short: whether less than all of its motion was seen, ``(d,)``: of a chirp the slow part,
+            which tells little of inertia.
     """
 
     stiffness: Floats
@@ -66,14 +69,16 @@ class JointDynamics(NamedTuple):
     offset: Floats
     residual: Floats
     measured_torque: Bools
+    cut_short: Bools
 
     @property
     def explained(self) -> Bools:
-        """Joints that moved as the model says, ``(d,)``: only there it tells more than the torque.
+        """Joints that moved as the model says, all the way: only there it tells more than the
+        torque, ``(d,)``.
 
         What the measured torque gives, stiffness and latency, holds of the others too.
         """
-        return np.nan_to_num(self.residual, nan=np.inf) <= EXPLAINED
+        return (np.nan_to_num(self.residual, nan=np.inf) <= EXPLAINED) & ~self.cut_short
 
 
 class Fit(NamedTuple):
@@ -125,6 +130,7 @@ def identify(log: Log) -> Fit:
         speed_limit=speed,
         torque_limit=torque,
         told=told,
+        motion=Chirp.EACH - Chirp.FADING if log.run.get("controller") == CHIRP else 0.0,
     )
 
 
@@ -138,6 +144,7 @@ def fit(
     speed_limit: Floats | float,
     torque_limit: Floats | float,
     told: Floats | float,
+    motion: float = 0.0,
 ) -> Fit:
     """Fit the joints' dynamics to samples.
 
@@ -148,6 +155,7 @@ def fit(
         speed_limit: of the servos' profiles, of all or each ``(d,)`` [rad/s].
         torque_limit: of the servos, as well [N m]; samples at it do not count.
         told: the stiffness that the servos were told, as well [N m/rad].
+        motion: how long a joint moves that shows all that it is to show [s].
 
     Raises:
         InvalidInput: no joint moved.
@@ -165,7 +173,8 @@ def fit(
     samples = _Samples(time, q_target[:, moved], q[:, moved], moving[:, moved], speed)
     laws = _servo_laws(samples, velocity[:, moved], torque[:, moved])
     parameters = _search(samples, laws.latency)
-    dynamics = _scaled(samples, parameters, laws, told)
+    cut_short = _moved_for(time, q_target)[moved] < motion
+    dynamics = _scaled(samples, parameters, laws, told)._replace(cut_short=cut_short)
     whole = np.full(q.shape, np.nan)
     whole[:, moved] = samples.simulate(parameters[None])[:, 0]
     return Fit(_spread(dynamics, moved), time, q, whole, moving)
@@ -173,12 +182,25 @@ def fit(
 
 def _moving(time: Floats, q_target: Floats) -> Bools:
     """Ticks between a joint's first motion and a while after its last, ``(T, d)``."""
+    first, last = _motion(time, q_target)
+    return (time[:, None] >= first) & (time[:, None] <= last + _TAIL)
+
+
+def _moved_for(time: Floats, q_target: Floats) -> Floats:
+    """From a joint's first motion to its last, ``(d,)`` [s]; below 0 where it did not move."""
+    first, last = _motion(time, q_target)
+    return last - first
+
+
+def _motion(time: Floats, q_target: Floats) -> tuple[Floats, Floats]:
+    """When each set-point moved first and last, ``(d,)`` [s]."""
     changed = np.zeros(q_target.shape, bool)
     changed[1:] = np.diff(q_target, axis=0) != 0.0
     stamped = np.broadcast_to(time[:, None], q_target.shape)
-    first = np.where(changed, stamped, np.inf).min(axis=0)
-    last = np.where(changed, stamped, -np.inf).max(axis=0)
-    return (time[:, None] >= first) & (time[:, None] <= last + _TAIL)
+    return (
+        np.where(changed, stamped, np.inf).min(axis=0),
+        np.where(changed, stamped, -np.inf).max(axis=0),
+    )
 
 
 class _Samples:
@@ -366,6 +388,7 @@ def _scaled(samples: _Samples, parameters: Floats, laws: _ServoLaws, told: Float
         offset=parameters[:, _OFFSET],
         residual=np.sqrt((error * error).sum(axis=0) / count),
         measured_torque=measured,
+        cut_short=np.zeros(len(measured), bool),
     )
 
 

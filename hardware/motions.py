@@ -14,6 +14,9 @@ from dexctl.exceptions import InvalidInput
 from dexctl.state import Floats
 from dexctl.validation import check_numbers
 
+CHIRP = "chirp"
+"""The name of `Chirp` on the command line and in logs."""
+
 
 class _Motion(Controller):
     """Follows a path that is known beforehand, from where the set-points are at the start."""
@@ -81,6 +84,8 @@ class Chirp(_Motion):
         frequencies: at its start and end [Hz].
     """
 
+    EACH = 8.0
+    """Time of each joint, by default [s]."""
     FADING = 0.5
     """Time in which the swing fades at the end of a joint's motion [s]."""
 
@@ -91,7 +96,7 @@ class Chirp(_Motion):
         control_period: float = 0.02,
         amplitude: float = 0.1,
         speed: float = 0.4,
-        seconds: float = 8.0,
+        seconds: float = EACH,
         frequencies: tuple[float, float] = (0.3, 5.0),
     ) -> None:
         super().__init__(hand, control_period=control_period)

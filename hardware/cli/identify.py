@@ -57,6 +57,7 @@ class Identify:
         said = {
             "command": "identify",
             "log": str(self.log),
+            "cut": log.cut,
             "hand": identity(hand),
             "joints": names,
             **{name: _listed(value) for name, value in fit.dynamics._asdict().items()},
@@ -72,6 +73,8 @@ class Identify:
             print_json(said)
         else:
             _show(names, fit.dynamics, armature)
+            if log.cut:
+                results().print(f"the log was cut off, after {fit.time[-1]:.1f} s of the run")
             results().print(f"in {folder}: {RANGES}, {FIGURES} and {PICTURE}", soft_wrap=True)
         return 0
 
@@ -196,9 +199,16 @@ def _show(names: list[str], found: JointDynamics, armature: Floats) -> None:
         results().print(
             "where the measured torque tells nothing, the stiffness is what the servos were told"
         )
-    if not found.explained[moved].all():
+    if found.cut_short.any():
+        shorter = ", ".join(name for name, cut in zip(names, found.cut_short, strict=True) if cut)
         results().print(
-            f"{int((moved & ~found.explained).sum())} joints moved otherwise than a mass behind a "
+            f"of {shorter} only a part of the chirp was seen: only stiffness and latency are told",
+            soft_wrap=True,
+        )
+    pushing = moved & ~found.explained & ~found.cut_short
+    if pushing.any():
+        results().print(
+            f"{int(pushing.sum())} joints moved otherwise than a mass behind a "
             f"servo does (residual above {1e3 * EXPLAINED:g} mrad), as where fingers hold an "
             "object: only stiffness and latency are told of them; a chirp of the empty hand tells "
             "the rest",

@@ -33,7 +33,7 @@ from hardware.cli.options import HandOptions, Session, busy, flags, teller
 from hardware.figures import figures_of_merit, in_full, in_words
 from hardware.limits import Limits
 from hardware.log import LogWriter, read_log
-from hardware.motions import Chirp, Sine
+from hardware.motions import CHIRP, Chirp, Sine
 from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
 from hardware.scene import ASKED, AUTO, CLOCK, HELP, HOLDING, NOTHING, OF_AN_OBJECT, POSES
@@ -45,7 +45,7 @@ PERIOD = 0.02  # of controllers that leave it to the runner [s]
 FIRST_POSE = 2.0  # how long a tracker may take to tell one [s]
 _HELD = replace(ASKED, object=(AUTO,))
 _SETTINGS = tuple(name for name in SceneConfig.__dataclass_fields__ if name not in CLOCK)
-_MOTIONS = {"sine": Sine, "chirp": Chirp}  # of an empty hand
+_MOTIONS = {"sine": Sine, CHIRP: Chirp}  # of an empty hand
 _BLIND = ("hold", *_MOTIONS)  # controllers that do not go by touch
 INTERRUPTED = 130
 LOG, PAGE = "run.mcap", "report.html"

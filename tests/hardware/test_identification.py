@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -100,11 +101,39 @@ def test_a_joint_that_stands_still_is_left_out(chirp: Samples) -> None:
     still[:, 1] = still[0, 1]
     two = Samples(chirp.time, *(value[:, 1:3] for value in chirp._replace(q_target=still)[1:]))
     joints = fit(*two, speed_limit=SPEED, torque_limit=TORQUE, told=TOLD).dynamics
-    assert np.isnan([value[0] for value in joints[:-1]]).all()
-    assert np.isfinite([value[1] for value in joints[:-1]]).all()
+    assert np.isnan([value[0] for value in joints[:-2]]).all()
+    assert np.isfinite([value[1] for value in joints[:-2]]).all()
     still[:] = still[0]
     with pytest.raises(InvalidInput, match=r"no set-point moved by more than 0\.01 rad"):
         fit(*chirp._replace(q_target=still), speed_limit=SPEED, torque_limit=TORQUE, told=TOLD)
+
+
+def test_a_joint_whose_motion_was_cut_short_is_not_explained(chirp: Samples) -> None:
+    """The slow part of a chirp tells little of inertia, and fits all the same."""
+    part = Samples(*(value[: int(10.0 / PERIOD)] for value in chirp))  # of 18 s, 6 for each joint
+    told = {"speed_limit": SPEED, "torque_limit": TORQUE, "told": TOLD}
+    joints = fit(*part, **told, motion=5.5).dynamics
+    cut = np.arange(15) % 3 == 1
+    np.testing.assert_array_equal(joints.cut_short, cut)
+    np.testing.assert_array_equal(joints.explained, np.arange(15) % 3 == 0)
+    assert not fit(*chirp, **told, motion=5.5).dynamics.cut_short.any()
+
+
+def test_a_log_that_is_cut_off_is_said_to_be(
+    dex5: HandModel, chirp: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.mcap"
+    few = Samples(*(value[:400] for value in chirp))
+    write_log(path, few, list(dex5.joint_names), about={"controller": "chirp"})
+    path.write_bytes(path.read_bytes()[:-200])
+    assert main(["hardware", "identify", str(path)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "the log was cut off, after" in shown
+    assert "of f1_roll, " in shown and "only a part of the chirp was seen" in shown
+    assert "moved otherwise" not in shown
+    said = json.loads((tmp_path / "identification.json").read_text())
+    assert said["cut"] is True and not any(said["explained"]) and any(said["cut_short"])
+    assert set(said["ranges"]) == {"stiffness_range", "action_latency_range"}
 
 
 def test_the_chirp_moves_one_joint_of_a_finger_at_its_speed(dex5: HandModel) -> None:
@@ -119,7 +148,14 @@ def test_the_chirp_moves_one_joint_of_a_finger_at_its_speed(dex5: HandModel) -> 
     assert not motion.offset(motion.seconds + 1.0).any()
 
 
-def write_log(path: Path, chirp: Samples, joints: list[str], *, state: str = "run") -> None:
+def write_log(
+    path: Path,
+    chirp: Samples,
+    joints: list[str],
+    *,
+    state: str = "run",
+    about: Mapping[str, Any] | None = None,
+) -> None:
     with LogWriter(path) as log:
         log.write(
             "/run",
@@ -129,6 +165,7 @@ def write_log(path: Path, chirp: Samples, joints: list[str], *, state: str = "ru
                 "limits": {"speed_limit": SPEED, "torque_limit": TORQUE},
                 "stiffness_nm_per_rad": TOLD,
                 "damping_nms_per_rad": 0.15,
+                **(about or {}),
             },
         )
         for time, q_target, q, velocity, torque in zip(*chirp, strict=True):
@@ -171,7 +208,7 @@ def test_ranges_hold_what_was_found_whatever_the_servos_were_told(dex5: HandMode
     found = JointDynamics(
         stiffness=np.linspace(3.8, 4.0, dex5.nq), servo_damping=every, damping=every + 0.1,
         friction=every, inertia=every, latency=every, offset=every, residual=0.0 * every,
-        measured_torque=every > 0,
+        measured_torque=every > 0, cut_short=every < 0,
     )  # fmt: skip
     each = [4.0] * (dex5.nq - 1) + [5.0]
     for stiffness, damping in ((4.0, 0.2), (each, 0.2), (each, each)):
