@@ -42,6 +42,7 @@ class Controller(ABC):
         tracks: whether it acts only where the state has the object's pose.
         goes_to_goals: True: it acts only where the state has a ``goal_quaternion``; False: it does
             nothing about goals; None: it does not say.
+        turns_as_told: the same of a ``goal_angular_velocity``.
         made_with: positional and keyword arguments of its class that it was made with, whichever
             class that is: with the class they are all that decides what it does.
     """
@@ -50,6 +51,7 @@ class Controller(ABC):
     gravity: tuple[float, ...] | None = None
     tracks: bool = False
     goes_to_goals: bool | None = None
+    turns_as_told: bool | None = None
     made_with: tuple[tuple[Any, ...], dict[str, Any]]
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:

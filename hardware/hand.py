@@ -68,6 +68,7 @@ class ServoHand:
             until armed.
         gravity: ``(3,)`` [m/s^2], or None.
         goal: the orientation that states ask for, wxyz ``(4,)``, hand frame, or None.
+        spin: the angular velocity that they ask for, ``(3,)`` [rad/s], hand frame, or None.
         speed_limit, torque_limit: of each joint, ``(d,)`` [rad/s], [N m].
         models: of the servos, d; XM430-W210 until `configure` has asked them.
         torque_constant: of the calibration, or the models, ``(d,)`` [N m/A], [N m].
@@ -106,6 +107,7 @@ class ServoHand:
         self._look()
         self.gravity = None if gravity is None else gravity_vector(gravity)
         self.goal: Floats | None = None
+        self.spin: Floats | None = None
         self._ticker = Ticker(control_period)
         self.control_period = control_period
         self.torque = Torque.UNKNOWN
@@ -328,6 +330,7 @@ class ServoHand:
             object_position=None if known is None else known.position,
             object_quaternion=None if known is None else known.quaternion,
             goal_quaternion=None if self.goal is None else self.goal.copy(),
+            goal_angular_velocity=None if self.spin is None else self.spin.copy(),
             gravity=None if self.gravity is None else self.gravity.copy(),
             time=sample.time,
             age=sample.age,

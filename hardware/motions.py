@@ -21,6 +21,8 @@ CHIRP = "chirp"
 class _Motion(Controller):
     """Follows a path that is known beforehand, from where the set-points are at the start."""
 
+    goes_to_goals = turns_as_told = False
+
     def __init__(self, hand: HandModel, *, control_period: float) -> None:
         super().__init__(hand, control_period=control_period)
         self._asked = 0

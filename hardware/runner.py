@@ -108,7 +108,7 @@ class Runner:
         start = middle if approach is None else approach
         warm_up(
             self._controller, start, self._seed, hand.gravity,
-            tracked=hand.tracker is not None, goal=hand.goal,
+            tracked=hand.tracker is not None, goal=hand.goal, spin=hand.spin,
         )  # fmt: skip
         worker = ControllerThread(self._controller)  # before real time: it must not inherit it
         run = _Run(self, worker, seconds, approach)

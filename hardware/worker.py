@@ -120,12 +120,13 @@ def warm_up(
     *,
     tracked: bool = False,
     goal: Floats | None = None,
+    spin: Floats | None = None,
 ) -> None:
     """Let a controller load and compile what it uses, before torque is on.
 
     It is asked about a made-up grasp at the joints ``q`` ``(d,)`` [rad], all fingers touching,
-    under ``gravity`` ``(3,)`` [m/s^2], the object ``tracked`` or not and wanted as ``goal`` says,
-    and reset afterwards, so that nothing of it stays.
+    under ``gravity`` ``(3,)`` [m/s^2], the object ``tracked`` or not and wanted as ``goal`` or
+    ``spin`` says, and reset afterwards, so that nothing of it stays.
     """
     hand = controller.hand
     tip = hand.fingertip_positions(q)
@@ -140,6 +141,7 @@ def warm_up(
         object_position=tip.mean(axis=0) if tracked else None,
         object_quaternion=np.array([1.0, 0.0, 0.0, 0.0]) if tracked else None,
         goal_quaternion=goal,
+        goal_angular_velocity=spin,
         gravity=gravity,
     )
     controller.reset(seed)

@@ -26,7 +26,7 @@ from dexctl.sim.checks import gravity_vector
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.sim.sensing import TRACKER
 from dexctl.state import Floats
-from dexctl.validation import check_name, unit_quaternion
+from dexctl.validation import check_name, check_vector, unit_quaternion
 from hardware import report
 from hardware.calibration import Calibration
 from hardware.cli.options import HandOptions, Session, busy, flags, teller
@@ -41,6 +41,7 @@ from hardware.state_machine import Event, State
 from hardware.tracking import parse_place, wait_for_pose
 
 Quaternion = tuple[float, float, float, float]
+Spin = tuple[float, float, float]
 PERIOD = 0.02  # of controllers that leave it to the runner [s]
 FIRST_POSE = 2.0  # how long a tracker may take to tell one [s]
 _HELD = replace(ASKED, object=(AUTO,))
@@ -81,6 +82,9 @@ class Run(HandOptions):
     goal: Quaternion | None = None
     """Turn from how the object is in the grasp to how it is wanted, in the hand's frame: a
     quaternion w x y z; none: no goal."""
+    spin: Spin | None = None
+    """Angular velocity that the object is wanted to have, in the hand's frame: x y z [rad/s], for
+    those who turn it as they are told; none: as the controller does by itself."""
     out: Path = Path("out")
     """Folder for run.mcap and report.html; those of an earlier run are renamed, not replaced."""
     json: Switch = False
@@ -115,6 +119,8 @@ class Run(HandOptions):
         self._check_tracker(pose)
         if self.goal is not None:
             check_goal(self.controller, self.goal, pose)
+        if self.spin is not None:
+            check_spin(self.controller, self.spin, self.goal)
         model, calibration = self.load()
         controller = make_controller(self.controller, model, asked, tracked=pose != "unknown")
         if self.goal is not None and controller.goes_to_goals is False:
@@ -123,6 +129,13 @@ class Run(HandOptions):
             raise InvalidInput(
                 f"{self.controller} acts only where it has a goal; expected --goal W X Y Z and "
                 "--object-pose touch or tracked"
+            )
+        if self.spin is not None and controller.turns_as_told is False:
+            raise turns_as_made(self.controller, self.spin)
+        if self.spin is None and controller.turns_as_told:
+            raise InvalidInput(
+                f"{self.controller} acts only where it is told how to turn the object; expected "
+                "--spin X Y Z [rad/s], such as 0 0 0.5"
             )
         if controller.object is not None and self.scene.object == (AUTO,):
             held = replace(held, object=(controller.object,))
@@ -150,6 +163,9 @@ class Run(HandOptions):
                 goal = multiply(unit_quaternion("goal", self.goal), session.object_pose[1])
                 about_it["goal_quaternion"] = goal.tolist()
                 session.hand.goal = goal
+            if self.spin is not None:
+                about_it["goal_angular_velocity"] = list(self.spin)
+                session.hand.spin = np.array(self.spin)
             if pose == "touch" and session.object_pose is not None:
                 controller = tracked_by_touch(controller, held, session.object_pose)
             log.write("/run", about_it)
@@ -298,6 +314,24 @@ def goes_to_none(name: str, goal: Quaternion) -> InvalidInput:
     return InvalidInput(
         f"--goal is {goal}; {name} goes to none, expected goal, steered:NAME, "
         "sequence:ABOUT,ACROSS or a policy for goals, such as dex5-cube-goals-touch"
+    )
+
+
+def check_spin(name: str, spin: Spin, goal: Quaternion | None) -> None:
+    """Raise InvalidInput where an angular velocity is none, or nobody turns as it says."""
+    check_vector("spin", spin, 3, "three finite numbers [rad/s]")
+    if goal is not None:
+        raise InvalidInput(f"--spin is {spin} and --goal {goal}; expected one of them")
+    follows = controllers.entry(name).follows if controllers.is_named(name) else None
+    if follows is not None and "goal_angular_velocity" not in follows:
+        raise turns_as_made(name, spin)
+
+
+def turns_as_made(name: str, spin: Spin) -> InvalidInput:
+    """Where who was named turns objects its own way, whatever it is told."""
+    return InvalidInput(
+        f"--spin is {spin}; {name} turns nothing as it is told, expected goal, commanded:NAME,... "
+        "or a policy for commands, such as dex5-axes"
     )
 
 

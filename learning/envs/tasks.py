@@ -77,6 +77,19 @@ class TaskConfig:
             f"wanted; expected {' or '.join(self.tells)} among them"
         )
 
+    def check_needed(self, parts: Collection[str], who: str) -> None:
+        """Raise InvalidInput where ``who`` observes by ``parts`` what this task does not tell."""
+        if set(parts) & set(ORIENTATIONS) and self.goals == NO_GOALS:
+            raise InvalidInput(
+                f"goals is 'none', and {who} is for goals; expected {', '.join(GOALS)}"
+            )
+        if TURNING in parts and not (self.goals == NO_GOALS and self.turning.commands):
+            said = "commands is none" if self.goals == NO_GOALS else f"goals is {self.goals!r}"
+            raise InvalidInput(
+                f"{said}, and {who} is told what to turn about; expected goals 'none' and commands "
+                "such as x,-z"
+            )
+
     def check_starts(self, elsewhere: bool) -> None:
         """Raise InvalidInput where episodes begin where they are to come to.
 

@@ -105,7 +105,8 @@ class Subject:
 
         Raises:
             InvalidInput: a policy for another hand, for an axis that cannot be turned to this one,
-                or trained with another control period; goals or commands that it does not see.
+                or trained with another control period; goals or commands that it does not see, or
+                none where it sees them.
         """
         scene = protocol.scene
         if isinstance(self.controller, Policy):
@@ -119,6 +120,9 @@ class Subject:
                     )
             protocol.task.check_told(
                 self.controller.observation.parts, f"the policy {self.name!r} sees"
+            )
+            protocol.task.check_needed(
+                self.controller.observation.parts, f"the policy {self.name!r}"
             )
             return self.controller.turned_to(protocol.task.direction)
         if controllers.is_named(self.name):

@@ -281,9 +281,14 @@ class Policy(Controller):
         return bool(set(ORIENTATIONS) & set(self.observation.parts))
 
     @property
+    def turns_as_told(self) -> bool:
+        """Whether it observes a ``goal_angular_velocity``: it acts only where there is one."""
+        return TURNING in self.observation.parts
+
+    @property
     def commanded(self) -> Commanded | None:
         """What it was trained to be told; None where it is not told, or nobody knows."""
-        return Commanded.of_card(self.card) if TURNING in self.observation.parts else None
+        return Commanded.of_card(self.card) if self.turns_as_told else None
 
     def other_commands(self, names: Sequence[str], speeds: tuple[float, float]) -> str | None:
         """What to know where it is told to turn as it was never told in training."""

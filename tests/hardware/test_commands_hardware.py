@@ -15,6 +15,7 @@ import dexctl
 from dexctl.cli import commands, main
 from dexctl.exceptions import InvalidInput
 from dexctl.rotations import angle_between
+from dexctl.sim.trial import rotation_about
 from hardware.bus import Bus
 from hardware.calibration import Calibration
 from hardware.cli.calibrate import _EmulatedPerson, from_poses, odd_travels
@@ -161,6 +162,33 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         (
             ["run", "dex5-cube-goals", "--emulate", *["--object-pose", "touch"]],
             "dex5-cube-goals acts only where it has a goal; expected --goal W X Y Z",
+        ),
+        (
+            ["run", "igm", "--emulate", *["--spin", "0", "0", "-0.5"]],
+            "--spin is (0.0, 0.0, -0.5); igm turns nothing as it is told, expected goal, commanded",
+        ),
+        (["run", "chirp", "--emulate", *["--spin", "0", "0", "1"]], "chirp turns nothing as it is"),
+        (
+            ["run", "dex5-cylinder", "--emulate", *["--spin", "0", "0", "1"]],
+            "dex5-cylinder turns nothing as it is told",
+        ),
+        (
+            ["run", "dex5-axes", "--emulate"],
+            "dex5-axes acts only where it is told how to turn the object; expected --spin X Y Z",
+        ),
+        (
+            [
+                "run",
+                "goal",
+                "--emulate",
+                *["--spin", "0", "0", "1", "--object-pose", "touch"],
+                *["--goal", "1", "0", "0", "0"],
+            ],
+            "--spin is (0.0, 0.0, 1.0) and --goal (1.0, 0.0, 0.0, 0.0); expected one of them",
+        ),
+        (
+            ["run", "dex5-axes", "--emulate", *["--spin", "0", "0", "nan"]],
+            "spin is (0.0, 0.0, nan); expected three finite numbers [rad/s]",
         ),
         (
             ["run", "goal", "--emulate", *["--goal", "2", "0", "0", "0", "--object-pose", "touch"]],
@@ -417,6 +445,20 @@ def test_a_goal_is_come_to_without_a_camera(
     assert figures["goal_reached_at_s"] < 15 and figures["left_to_goal_rad"] < 0.4
     assert "object_lost_at_s" not in figures
     assert "left to the goal" in (tmp_path / "report.html").read_text()
+
+
+@real_time
+@pytest.mark.parametrize("who", ["dex5-axes", "commanded:dex5-cube-z,dex5-cube-x"])
+def test_the_object_is_turned_as_told(
+    who: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", who, "--object", "cube", "--spin", "0.5", "0", "0", "--seconds", "6", "--json"]
+    assert main(["hardware", *words, "--out", str(tmp_path), *PATIENT]) == 0
+    assert "object_lost_at_s" not in json.loads(capsys.readouterr().out)["figures"]
+    log = read_log(tmp_path / "run.mcap")
+    assert log.run["goal_angular_velocity"] == [0.5, 0.0, 0.0]
+    turned = rotation_about(log.ticks["object_quaternion"], (1.0, 0.0, 0.0))
+    assert turned[-1] > 0.8
 
 
 @real_time

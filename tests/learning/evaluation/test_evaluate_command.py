@@ -213,6 +213,21 @@ def test_who_is_not_told_what_is_wanted_is_refused(
     assert who in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("who", "asked", "told"),
+    [
+        ("dex5-cube-goals", ("--goals", "none"), "goals is 'none', and the policy 'dex5-cube-goal"),
+        ("dex5-axes", ("--goals", "cube"), "goals is 'cube'"),
+    ],
+)
+def test_who_has_to_be_told_is_refused_without(who: str, asked: tuple[str, ...], told: str) -> None:
+    with pytest.raises(InvalidInput, match=told):
+        run(who, "--episodes", "1", "--seconds", "0.1", *asked)
+    axes = open_subject("dex5-axes")
+    with pytest.raises(InvalidInput, match="commands is none, and the policy 'dex5-axes' is told"):
+        axes.acting(axes.protocol(commands=()))
+
+
 @pytest.mark.parametrize("asked", [("--goals", "cube"), ("--commands", "x")])
 def test_who_is_told_is_evaluated(asked: tuple[str, ...]) -> None:
     words = ("--episodes", "1", "--seconds", "0.1", "--object", "cube")
