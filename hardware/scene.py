@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 from dexctl.limits import REAL_SPEED, REAL_TORQUE, HandLimits
+from dexctl.settings import Text
 from dexctl.sim.scene_config import SceneConfig
 from dexctl.sim.sensing import Sensing
 from dexctl.touch import TouchConfig
@@ -28,15 +29,23 @@ EMPTY = replace(HOLDING, object=(NOTHING,))
 """The same hand with nothing in it."""
 ASKED = replace(EMPTY, stiffness=None, damping=None)
 """What commands begin with: gains are those that the hand's toml says, else those of `HOLDING`."""
-HELP = {
-    name: f"{name.capitalize()} of the joints' servos [{unit}]; none: as [servos] of the hand's "
-    f"toml has it, else {getattr(HOLDING, name):g}."
-    for name, unit in (("stiffness", "N m/rad"), ("damping", "N m s/rad"))
-}
-"""What of the gains is another thing on servos than in the simulator."""
-
 POSES = ("unknown", "touch", "tracked")
 """How the object's pose can be known on servos: by its controller, or from a tracker."""
+HELP = {
+    name: Text(
+        f"{name.capitalize()} of the joints' servos [{unit}]; none: as [servos] of the hand's "
+        f"toml has it, else {getattr(HOLDING, name):g}."
+    )
+    for name, unit in (("stiffness", "N m/rad"), ("damping", "N m s/rad"))
+} | {
+    "sensing.object_pose": Text(
+        "How the object's pose is known: unknown, not at all; touch, as it is in the grasp that "
+        "the hand goes to and from then on by what the fingers feel (`TouchTracking`); tracked, "
+        "from a tracker.",
+        "{" + ",".join(POSES) + "}",
+    )
+}
+"""What of the settings is another thing on servos than in the simulator."""
 
 CLOCK = ("control_period", "substeps")
 """Settings that a servo hand does not have: its control period is the controller's."""

@@ -7,7 +7,7 @@ its own name wherever it stands: ``changed(train, {"axis": "x"})``. Two leaves o
 """
 
 from dexctl.settings.located import absolute
-from dexctl.settings.marks import BY_PATH, FILE_OR_NAME, NESTED, Located, only
+from dexctl.settings.marks import BY_PATH, FILE_OR_NAME, NESTED, Located, Text, only
 from dexctl.settings.plain import by_path, changed, describe, from_plain, to_plain
 from dexctl.settings.tree import difference, differing, get, leaves, paths
 from dexctl.settings.words import NamedRanges, Names, Quaternion, Quaternions, Range, Vector
@@ -22,6 +22,7 @@ __all__ = [
     "Quaternion",
     "Quaternions",
     "Range",
+    "Text",
     "Vector",
     "absolute",
     "by_path",

@@ -64,7 +64,8 @@ class Sensing:
     """Weakest normal force that counts as touch [N]."""
     sensor_latency: float = 0.0
     """How old what is sensed is, rounded to control steps [s], at most 10. Two readings are not
-    mixed: a finger touches or not, and contact points of two moments have no middle."""
+    mixed: a finger touches or not, and contact points of two moments have no middle. Gravity, which
+    an inertial sensor tells, is neither late nor noisy."""
     tracker_position_noise: float = 0.0
     """Standard deviation of each coordinate of the position of a tracked object [m]."""
     tracker_rotation_noise: float = 0.0

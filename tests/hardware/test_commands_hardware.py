@@ -432,6 +432,13 @@ def test_a_tracker_that_says_nothing(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert not any(emulator.state()["torque_on"])
 
 
+def test_help_says_what_servos_know_of_the_object(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hardware", "run", "--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "--object-pose {unknown,touch,tracked} How the object's pose is known" in shown
+    assert "odometry" not in shown and "--tracker-latency" in shown and "--touch-force" in shown
+
+
 @real_time
 def test_a_goal_is_come_to_without_a_camera(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
