@@ -35,6 +35,7 @@ Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 _BORDER = "╭╮╰╯│─ "
 _HELP = ("-h", "--help")
 _DIRECTION = re.compile(r"-([xyz]|[\d.].*,.*)")  # a value that looks like an option: -z, -1,0,0
+_AXIS = re.compile(r"-[xyz]")
 NONE = "none"
 """What is typed for an option that may be none."""
 
@@ -64,7 +65,10 @@ def parse(kind: type[C], title: str, arguments: Sequence[str]) -> C | None:
             if short:
                 print("short:", *(f"  {a}  is  {b}" for a, b in short.items()), sep="\n")
             return None
-        raise InvalidInput(f"{_one_line(box.getvalue())} (see {title} --help)") from None
+        line = _one_line(box.getvalue())
+        if line.startswith("Unrecognized") and any(_AXIS.fullmatch(word) for word in words):
+            line += "; several axes are one word, with commas between: x,-x"
+        raise InvalidInput(f"{line} (see {title} --help)") from None
     finally:
         if sys.exc_info()[0] is None:
             sys.stderr.write(box.getvalue())  # a warning, if anything
@@ -104,6 +108,17 @@ def said(kind: type[C], arguments: Sequence[str]) -> C | None:
         return tyro.cli(kind, args=words, registry=_REGISTRY, console_outputs=False)
     except SystemExit:
         return None
+
+
+def is_given(arguments: Sequence[str], option: str) -> bool:
+    """Whether ``option`` is among them, with a value or without."""
+    return any(word.partition("=")[0] == option for word in arguments)
+
+
+def check_conditions(arguments: Sequence[str], conditions: Sequence[str]) -> None:
+    """Raise InvalidInput where ``--conditions`` is among ``arguments`` with nothing behind it."""
+    if is_given(arguments, "--conditions") and not conditions:
+        raise InvalidInput("--conditions has nothing behind it; expected names, or a .toml file")
 
 
 def given(arguments: Sequence[str], option: str) -> str | None:

@@ -47,13 +47,15 @@ def under(config: SceneConfig, *conditions: str) -> SceneConfig:
     """``config`` under conditions, one after the other.
 
     Args:
-        conditions: names of `CONDITIONS`, or toml files of settings of `SceneConfig`.
+        conditions: names of `CONDITIONS`, or toml files of settings of `SceneConfig`; several may
+            be one text, with commas between.
 
     Raises:
         UnknownName: no such conditions, and no such file; or a file has no such setting.
         InvalidInput: the file is no toml or sets nothing, or a value is out of range.
     """
-    for name in conditions:
+    every = [[one] if Path(one).expanduser().is_file() else one.split(",") for one in conditions]
+    for name in (name for names in every for name in names):
         if name in CONDITIONS:
             config = changed(config, CONDITIONS[name])
             continue
@@ -67,7 +69,7 @@ def under(config: SceneConfig, *conditions: str) -> SceneConfig:
 
 def _settings(name: str) -> Mapping[str, Any]:
     path = Path(name).expanduser()
-    if path.suffix != ".toml":
+    if path.suffix.lower() != ".toml":
         raise UnknownName("conditions", name, [*CONDITIONS, "a .toml file"])
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -11,7 +11,7 @@ import tyro
 
 from dexctl.cli.checks import check_seconds, make_folder
 from dexctl.cli.output import notes, print_json, progress
-from dexctl.cli.parsing import Switch, said
+from dexctl.cli.parsing import Switch, check_conditions, said
 from dexctl.exceptions import InvalidInput
 from dexctl.limits import HandLimits
 from dexctl.settings import NESTED
@@ -69,6 +69,8 @@ class Evaluate:
 
         before = said(cls, argv)
         names = {word[2:].partition("=")[0].replace("-", "_") for word in argv if word[:2] == "--"}
+        if before is not None:
+            check_conditions(argv, before.conditions)
         if before is None or bool(before.transfer) == (before.policy is not None):
             return cls()
         from dexctl.sim.conditions import under

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 from dexctl.cli.checks import make_folder
 from dexctl.cli.output import notes, print_json, results
-from dexctl.cli.parsing import Switch, given, said
+from dexctl.cli.parsing import Switch, check_conditions, given, is_given, said
 from dexctl.controllers import label
 from dexctl.exceptions import InvalidInput, MissingExtra
 from dexctl.settings import NESTED, difference, to_plain
@@ -58,8 +58,9 @@ class Train:
         if run is not None:
             return cls(recipe=name, config=_config_of(Path(run)))
         config = recipe(name, given(argv, "--method"))
-        before = said(cls, argv) if given(argv, "--conditions") else None
+        before = said(cls, argv) if is_given(argv, "--conditions") else None
         if before is not None:
+            check_conditions(argv, before.conditions)
             from dexctl.sim.conditions import under
 
             scene = under(config.env.scene, *before.conditions)

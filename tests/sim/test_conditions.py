@@ -74,6 +74,15 @@ def test_bad_files(tmp_path: Path, content: str | None, said: str) -> None:
         under(SceneConfig(), str(path))
 
 
+def test_several_with_commas_between(tmp_path: Path) -> None:
+    path = tmp_path / "mine,yours.TOML"
+    path.write_text("object_mass = 0.2\n")
+    both = under(SceneConfig(), "everything,limits", str(path))
+    assert both == under(SceneConfig(object_mass=0.2), "everything", "limits")
+    with pytest.raises(UnknownName, match="unknown conditions 'moon'; known: nominal, limits"):
+        under(SceneConfig(), "limits,moon")
+
+
 def test_unknown_conditions() -> None:
     with pytest.raises(UnknownName, match="unknown conditions 'moon'; known: nominal, limits"):
         under(SceneConfig(), "moon")

@@ -81,6 +81,11 @@ def test_files_say_the_conditions(tmp_path: Path) -> None:
         assert {row["conditions"] for row in rows} == {"everything any-gravity"}
 
 
+def test_conditions_have_to_be_named() -> None:
+    with pytest.raises(InvalidInput, match="--conditions has nothing behind it; expected names"):
+        run("hold", "--episodes", "1", "--seconds", "0.1", "--conditions")
+
+
 def test_robustness_under_conditions_says_what_it_ran(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

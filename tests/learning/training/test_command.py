@@ -144,6 +144,8 @@ def test_ctrl_c_says_what_is_saved_and_how_to_go_on(tmp_path: Path) -> None:
         ("--recipe slow", "unknown recipe 'slow'; known: thesis, fast"),
         ("--method rl+bc --controller igm gait", "'rl\\+bc' has the controllers igm, gait at once"),
         ("--resume /nowhere/at/all", "there is no run in /nowhere/at/all"),
+        ("--env.commands x -x y", "Unrecognized options: -x, y; several axes are one word, .*x,-x"),
+        ("--conditions --steps 9", "--conditions has nothing behind it; expected names, or a"),
         ("--conditions moon", "unknown conditions 'moon'; known: nominal, limits"),
         ("--conditions none.toml", "cannot read none.toml: No such file"),
     ],
