@@ -172,7 +172,7 @@ class Options(Settings):
     """Episodes of ten minutes."""
     who: tuple[str, ...] = ("dex5-easy", "coordinated")
     """Policies, by name or file, and controllers."""
-    objects: tuple[str, ...] = ("cube", "cylinder", "sphere", "icosahedron", "dodecahedron")
+    objects: tuple[str, ...] = EASY
     """Which; the first two under all conditions, the others where any gravity or all is drawn."""
     conditions: tuple[str, ...] = tuple(CONDITIONS)
     """Which."""

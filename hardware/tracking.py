@@ -28,6 +28,7 @@ MOST_AGE = 0.3
 """How old a pose may be: at 1 rad/s the object has turned by as many radians since [s]."""
 LOCAL = "127.0.0.1"
 _LONGEST = 1024  # bytes of a datagram that are looked at
+_MOST = 1000  # datagrams that are looked at in one call, more than wait in a socket
 
 
 class TrackedPose(NamedTuple):
@@ -83,7 +84,8 @@ class UdpTracker:
 
     Datagrams are taken as they come, in :meth:`read`; nothing waits and there is no thread. So it
     is to be called more often than every ``most_age``: a datagram found after a longer pause may
-    have waited since the last call, and counts as that old.
+    have waited since the last call, and counts as that old. A sender that never pauses does not
+    keep a call from coming back.
 
     Args:
         where: port to listen on, or HOST:PORT; without a host only this machine is heard.
@@ -118,7 +120,7 @@ class UdpTracker:
         now, before = time.monotonic(), self._asked
         self._asked = now
         arrived = now if now - before <= self._most_age else before
-        while True:
+        for _ in range(_MOST):
             try:
                 found = parse_pose(self._socket.recv(_LONGEST))
             except OSError:  # nothing more is there
@@ -163,13 +165,17 @@ def wait_for_pose(source: PoseSource, seconds: float) -> TrackedPose:
         if pose is not None and not pose.stale:
             return pose
         if time.monotonic() >= end:
-            bad = getattr(source, "bad", 0)
-            said = f", and {bad} datagrams that are no pose" if bad else ""
             raise InvalidInput(
-                f"the tracker has told no pose for {seconds:g} s{said}; expected one at least "
-                f"every {MOST_AGE:g} s"
+                f"{silence(source, seconds)}; expected one at least every {MOST_AGE:g} s"
             )
         time.sleep(0.005)
+
+
+def silence(source: PoseSource, seconds: float) -> str:
+    """That nothing has been told for so long [s], for people; and what came in place of it."""
+    bad = getattr(source, "bad", 0)
+    said = f", and {bad} datagrams that are no pose" if bad else ""
+    return f"the tracker has told no pose for {seconds:g} s{said}"
 
 
 class Heard(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint
 
@@ -14,12 +14,17 @@ os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hypothesis
+import numpy as np
 import pytest
 
 import dexctl
 from dexctl.controllers import GROUP, POLICIES, table
+
+if TYPE_CHECKING:
+    from dexctl.sim import GraspStates
 
 FOUR_FINGERS = Path(__file__).resolve().parent / "hands" / "four_fingers.xml"
 
@@ -34,6 +39,29 @@ hypothesis.settings.load_profile("dexctl")
 def dex5() -> dexctl.HandModel:
     """The built-in hand."""
     return dexctl.hands.load("dex5")
+
+
+@pytest.fixture(scope="session")
+def at_rest() -> Callable[[dexctl.HandModel, dexctl.GraspState, Sequence[str]], GraspStates]:
+    """Makes grasp states of a hand's state ``(S,)``, with the name of each one's object."""
+    from dexctl.sim import GraspStates
+
+    def made(
+        hand: dexctl.HandModel, state: dexctl.GraspState, objects: Sequence[str]
+    ) -> GraspStates:
+        assert state.object_position is not None
+        assert state.object_quaternion is not None
+        return GraspStates(
+            hand=hand.name,
+            q=state.q,
+            q_target=state.q_target,
+            object_position=state.object_position,
+            object_quaternion=state.object_quaternion,
+            object=np.array(objects),
+            joint_names=np.array(hand.joint_names),
+        )
+
+    return made
 
 
 @pytest.fixture

@@ -137,23 +137,24 @@ class Add:
         def say(text: str) -> None:
             notes().print(f"dexctl: {text}")
 
-        stiffer = stiffened(hand)
-        if stiffer:
-            config = replace(config, servos=replace(config.servos, stiffness=stiffer))
-            hand = config.build()
-            reasons["servos.stiffness"] = (
-                "Too soft in the file to press with 2 N where the set-point is 0.1 rad ahead."
-            )
-            say(f"servos stiffened: {', '.join(stiffer)}")
-        damper = damped(hand)
-        if damper:
-            config = replace(config, servos=replace(config.servos, damping=damper))
-            hand = config.build()
-            reasons["servos.damping"] = (
+        for setting, needed, why in (
+            (
+                "stiffness",
+                stiffened,
+                "Too soft in the file to press with 2 N where the set-point is 0.1 rad ahead.",
+            ),
+            (
+                "damping",  # of the stiffness that there is now
+                damped,
                 "Hardly damped in the file, so that these joints would ring for long: critical, "
-                "where they swing at 8 Hz at most."
-            )
-            say(f"servos damped: {', '.join(damper)}")
+                "where they swing at 8 Hz at most.",
+            ),
+        ):
+            if mended := needed(hand):
+                config = replace(config, servos=replace(config.servos, **{setting: mended}))
+                hand = config.build()
+                reasons[f"servos.{setting}"] = why
+                say(f"servos {needed.__name__}: {', '.join(mended)}")
         objects = (self.object,) if self.object else OBJECTS
         count = max(1, self.turning.grasps)
         grasps = suggestions(

@@ -39,13 +39,12 @@ def simulation(
     except SettleFailure as failure:
         failure.add_note("`dexctl check-grasp --out DIR` says what was tried, and draws it")
         raise
-    scene = scene_of(found)
-    for note in scene.notes:
+    for note in scene_of(found).notes:
         notes().print(note, style="dim")
-    if found.starts is not None and not config.randomisation.draws_gravity:
-        from dexctl.planning.starts import other_gravity
+    if found.starts is not None:
+        from dexctl.planning.starts import begins_under_another
 
-        if remark := other_gravity(found.starts, scene.gravity):
+        if remark := begins_under_another(found):
             notes().print(f"dexctl: {remark}")
     return found
 

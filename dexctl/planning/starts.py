@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from dexctl.exceptions import InvalidInput
 from dexctl.planning.holding import holding
 from dexctl.planning.tree import Tree
+from dexctl.sim.checks import gravity_vector
 from dexctl.sim.grasp_states import GraspStates
 from dexctl.state import Floats
 from dexctl.validation import check_name, check_seed, check_vector, shown_numbers
 
 if TYPE_CHECKING:
-    from dexctl.sim import Scene
+    from dexctl.sim import Scene, Simulation
 
 
 Goals = Literal["greatest", "even"]
@@ -79,6 +80,14 @@ def path_states(
     about = {"tree": json.loads(found.meta), "goals": goals, "weights": weights, "tried": tried}
     weight = _rarity(tree.rotation[rows]) if weights == "rotation" else None
     return replace(found, weight=weight, meta=json.dumps(about))
+
+
+def begins_under_another(simulation: Simulation) -> str | None:
+    """What to know where episodes begin in states that were planned under another gravity."""
+    states, config = simulation.starts, simulation.config
+    if states is None or config.randomisation.draws_gravity:
+        return None
+    return other_gravity(states, gravity_vector(config.gravity))
 
 
 def other_gravity(states: GraspStates, gravity: ArrayLike) -> str | None:

@@ -137,8 +137,11 @@ class Sensor:
         batch = streams.batch_shape
         self._share = np.ones(batch)
         self._late = np.full(batch, round(sensing.sensor_latency / control_period))
-        seen = sensing.object_pose == "tracked"
-        self._pose_late = round(sensing.tracker_latency / control_period) * seen  # beside that
+        tracked = sensing.object_pose == "tracked"
+        self._pose_late = round(sensing.tracker_latency / control_period) if tracked else 0
+        self._pose_noise = (
+            (sensing.tracker_position_noise, sensing.tracker_rotation_noise) if tracked else (0, 0)
+        )
         self._threshold: Floats | None = None  # that of ``sensing``, which the physics keep to
         self._dropout = np.zeros(batch)
 
@@ -233,8 +236,8 @@ class Sensor:
 
     def _tracked(self, seen: GraspState, begin: Bools | None) -> GraspState:
         """``seen`` with a tracker's noise on the objects' poses."""
-        place, turn = self._sensing.tracker_position_noise, self._sensing.tracker_rotation_noise
-        if self._sensing.object_pose != "tracked" or not (place or turn):
+        place, turn = self._pose_noise
+        if not (place or turn):
             return seen
         assert seen.object_position is not None
         assert seen.object_quaternion is not None

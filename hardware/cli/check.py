@@ -27,7 +27,7 @@ from hardware.models import BY_NUMBER, MODELS, XM430_W210, ServoModel, known_num
 from hardware.registers import OperatingMode, describe_hardware_error
 from hardware.state_machine import Torque
 from hardware.ticker import Interrupts, spread
-from hardware.tracking import MOST_AGE, UdpTracker, listen
+from hardware.tracking import MOST_AGE, UdpTracker, listen, silence
 
 _CYCLES = 200
 _LISTENED = 2.0  # to a tracker [s]
@@ -62,10 +62,7 @@ class Check(HandOptions):
         self.check()
         if self.reboot is not None and not 0 <= self.reboot <= 252:
             raise InvalidInput(f"--reboot is {self.reboot}; expected an ID from 0 to 252")
-        if self.tracker is not None and self.emulate:
-            raise InvalidInput(
-                f"--emulate and --tracker {self.tracker} are given; expected one of them"
-            )
+        self.check_real("--tracker", self.tracker)
         folder = None if self.out is None else make_folder(self.out)
         with ExitStack() as stack:
             poses = None if self.tracker is None else UdpTracker(self.tracker)
@@ -123,8 +120,7 @@ class _Look:
             "no_poses": poses.bad,
         }
         if not heard.poses:
-            wrong = f", and {poses.bad} datagrams that are no pose" if poses.bad else ""
-            self.problems.append(f"the tracker has told no pose for {_LISTENED:g} s{wrong}")
+            self.problems.append(silence(poses, _LISTENED))
         elif heard.age + 1.0 / heard.rate > MOST_AGE:
             self.problems.append(
                 f"the tracker's poses are {1e3 * heard.age:.0f} ms old and come {heard.rate:.1f} "

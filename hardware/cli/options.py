@@ -92,8 +92,7 @@ class HandOptions:
         Raises:
             UnknownName, InvalidInput: an option is wrong.
         """
-        if self.emulate and self.port is not None:
-            raise InvalidInput(f"--emulate and --port {self.port} are given; expected one of them")
+        self.check_real("--port", self.port)
         models = self.emulated_models()
         if not self.emulate:
             if models != [XM430_W210]:
@@ -113,6 +112,11 @@ class HandOptions:
         if self.calibration is not None:
             Calibration.load(self.calibration)
         self._check_gains(models)
+
+    def check_real(self, option: str, value: str | None) -> None:
+        """InvalidInput where something of a real hand is given beside an emulated one."""
+        if self.emulate and value is not None:
+            raise InvalidInput(f"--emulate and {option} {value} are given; expected one of them")
 
     def _check_gains(self, models: list[ServoModel]) -> None:
         """InvalidInput where a register cannot hold what was asked for, or what comes of it."""

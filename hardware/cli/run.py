@@ -205,10 +205,7 @@ class Run(HandOptions):
             raise InvalidInput(
                 f"--tracker is {self.tracker} and --object-pose {pose}; expected tracked with it"
             )
-        if self.emulate:
-            raise InvalidInput(
-                f"--emulate and --tracker {self.tracker} are given; expected one of them"
-            )
+        self.check_real("--tracker", self.tracker)
 
     def held(self) -> SceneConfig:
         """The scene, with the object that auto stands for.
@@ -304,8 +301,7 @@ def check_goal(name: str, goal: Quaternion, pose: str) -> None:
         raise InvalidInput(
             f"--goal is {goal} and --object-pose {pose}; expected touch or tracked with it"
         )
-    follows = controllers.entry(name).follows if controllers.is_named(name) else None
-    if follows is not None and "goal_quaternion" not in follows:
+    if ignores(name, "goal_quaternion"):
         raise goes_to_none(name, goal)
 
 
@@ -322,9 +318,14 @@ def check_spin(name: str, spin: Spin, goal: Quaternion | None) -> None:
     check_vector("spin", spin, 3, "three finite numbers [rad/s]")
     if goal is not None:
         raise InvalidInput(f"--spin is {spin} and --goal {goal}; expected one of them")
-    follows = controllers.entry(name).follows if controllers.is_named(name) else None
-    if follows is not None and "goal_angular_velocity" not in follows:
+    if ignores(name, "goal_angular_velocity"):
         raise turns_as_made(name, spin)
+
+
+def ignores(name: str, wish: str) -> bool:
+    """Whether it is known of who is named that a state's ``wish`` changes nothing."""
+    follows = controllers.entry(name).follows if controllers.is_named(name) else None
+    return follows is not None and wish not in follows
 
 
 def turns_as_made(name: str, spin: Spin) -> InvalidInput:

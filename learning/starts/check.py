@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dexctl.exceptions import InvalidInput
-from dexctl.planning.starts import other_gravity
+from dexctl.planning.starts import begins_under_another
 from dexctl.sim import Simulation
-from dexctl.sim.checks import gravity_vector
 from learning.starts.base import Remark
 
 _SECONDS = 0.5
@@ -46,12 +45,8 @@ def remark_on_starts(simulation: Simulation, remark: Remark) -> None:
 
 
 def _remark_on_gravity(simulation: Simulation, remark: Remark) -> None:
-    """Say where the states were planned under another gravity than the scene's, if that is one."""
-    states, config = simulation.starts, simulation.config
-    if states is not None and not config.randomisation.draws_gravity:
-        said = other_gravity(states, gravity_vector(config.gravity))
-        if said:
-            remark(said)
+    if said := begins_under_another(simulation):
+        remark(said)
 
 
 def _held(simulation: Simulation) -> tuple[int, str]:

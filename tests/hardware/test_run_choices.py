@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,6 +60,20 @@ def test_another_rate_than_the_controllers(dex5: dexctl.HandModel) -> None:
             make_controller(name, dex5, 50.0)
 
 
+def tick(i: int, **more: Any) -> dict[str, Any]:
+    """What a log has of the i-th of ticks half a second apart; the first is before the run."""
+    return {
+        "time": 0.5 * i,
+        "state": "run" if i else "armed",
+        **{key: [0.0, 0.0] for key in ("q", "q_target", "torque")},
+        "fresh": [True, True],
+        "in_contact": [True],
+        "contact_force": [2.0],
+        "lateness": 0.0,
+        **more,
+    }
+
+
 def test_rotation_is_counted_until_the_object_is_lost(tmp_path: Path) -> None:
     pytest.importorskip("mcap", reason="needs the extra 'hardware'")
     angle = np.array([0.0, 0.0, 0.2, 0.3, 0.4])  # and in the fourth tick it has fallen
@@ -66,20 +81,8 @@ def test_rotation_is_counted_until_the_object_is_lost(tmp_path: Path) -> None:
     turned = np.stack([np.cos(angle / 2), zeros, zeros, np.sin(angle / 2)], axis=1)
     with LogWriter(tmp_path / "a.mcap") as log:
         for i in range(5):
-            log.write(
-                "/tick",
-                {
-                    "time": 0.5 * i,
-                    "state": "run" if i else "armed",
-                    **{key: [0.0, 0.0] for key in ("q", "q_target", "torque")},
-                    "fresh": [True, True],
-                    "in_contact": [True],
-                    "contact_force": [2.0],
-                    "lateness": 0.0,
-                    "object_position": [0.0, 0.0, 0.13 if i < 3 else 0.0],
-                    "object_quaternion": turned[i],
-                },
-            )
+            place = [0.0, 0.0, 0.13 if i < 3 else 0.0]
+            log.write("/tick", tick(i, object_position=place, object_quaternion=turned[i]))
     found = read_log(tmp_path / "a.mcap")
     assert figures_of_merit(found)["rotation_rad"] == pytest.approx(0.2)  # as trials count
     assert figures_of_merit(found)["turning_speed_rad_s"] == pytest.approx(0.4)  # in the run
@@ -104,19 +107,7 @@ def test_a_real_hand_has_what_was_tracked_by_touch(tmp_path: Path) -> None:
                     one if one == "torn" else np.sin(half),
                 ],
             }
-            log.write(
-                "/tick",
-                {
-                    "time": 0.5 * i,
-                    "state": "run",
-                    **{key: [0.0, 0.0] for key in ("q", "q_target", "torque")},
-                    "fresh": [True, True],
-                    "in_contact": [True],
-                    "contact_force": [2.0],
-                    "lateness": 0.0,
-                    "diagnostics": {} if one is None else told,
-                },
-            )
+            log.write("/tick", tick(i, diagnostics={} if one is None else told))
     figures = figures_of_merit(read_log(tmp_path / "a.mcap"))
     assert figures["rotation_rad"] == pytest.approx(0.3)
     assert "object_lost_at_s" not in figures
@@ -128,21 +119,9 @@ def test_a_real_hand_has_what_a_tracker_told(tmp_path: Path) -> None:
     other = {"tracked_position": [0.0] * 3, "tracked_quaternion": [1.0, 0.0, 0.0, 0.0]}
     with LogWriter(tmp_path / "a.mcap") as log:
         for i in range(4):
-            log.write(
-                "/tick",
-                {
-                    "time": 0.5 * i,
-                    "state": "run",
-                    **{key: [0.0, 0.0] for key in ("q", "q_target", "torque")},
-                    "fresh": [True, True],
-                    "in_contact": [True],
-                    "contact_force": [2.0],
-                    "lateness": 0.0,
-                    "tracked_position": [0.0, 0.0, 0.13],
-                    "tracked_quaternion": [np.cos(0.1 * i), 0.0, 0.0, np.sin(0.1 * i)],
-                    "diagnostics": other,
-                },
-            )
+            turned = [np.cos(0.1 * i), 0.0, 0.0, np.sin(0.1 * i)]
+            told = {"tracked_position": [0.0, 0.0, 0.13], "tracked_quaternion": turned}
+            log.write("/tick", tick(i, **told, diagnostics=other))
     assert figures_of_merit(read_log(tmp_path / "a.mcap"))["rotation_rad"] == pytest.approx(0.6)
 
 

@@ -115,6 +115,22 @@ def test_what_has_waited_is_as_old_as_the_last_look(tracker: UdpTracker) -> None
     assert pose is not None and pose.stale
 
 
+def test_a_flood_does_not_keep_the_bus_waiting(
+    tracker: UdpTracker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Flood:
+        def recv(self, size: int) -> bytes:
+            return pose_line(P, Q)
+
+        def close(self) -> None:
+            pass
+
+    tracker.close()
+    monkeypatch.setattr(tracker, "_socket", Flood())
+    pose = tracker.read()
+    assert pose is not None and not pose.stale
+
+
 @pytest.mark.parametrize("where", ["", "port", "70000", "-1", "1.5", "here:"])
 def test_bad_places(where: str) -> None:
     with pytest.raises(InvalidInput, match=r"the tracker's port is .*; expected \[HOST:\]PORT"):

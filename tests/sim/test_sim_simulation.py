@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -55,23 +56,12 @@ def assert_same(first: list[GraspState], again: list[GraspState], rows: slice | 
 
 
 @pytest.fixture
-def starts(tmp_path: Path) -> SceneConfig:
+def starts(tmp_path: Path, at_rest: Callable[..., GraspStates]) -> SceneConfig:
     """Everything, from a file with two states."""
     with Simulation(PLAIN, 2) as sim:
         drive(sim, 3)
-        state = sim.state
-    assert state.object_position is not None
-    assert state.object_quaternion is not None
-    path = tmp_path / "starts.npz"
-    GraspStates(
-        hand="dex5",
-        q=state.q,
-        q_target=state.q_target,
-        object_position=state.object_position,
-        object_quaternion=state.object_quaternion,
-        object=np.array(["cylinder", "cylinder"]),
-        joint_names=np.array(sim.hand.joint_names),
-    ).save(path)
+        path = tmp_path / "starts.npz"
+        at_rest(sim.hand, sim.state, ["cylinder"] * 2).save(path)
     return replace(EVERYTHING, initial_states=path)
 
 

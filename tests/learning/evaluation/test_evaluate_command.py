@@ -112,22 +112,13 @@ def test_one_table_of_figures(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_starts_that_do_not_hold_are_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], at_rest: Callable[..., GraspStates]
 ) -> None:
     """And another spelling of the option; nothing was said, and the policy blamed."""
     config = SceneConfig(object=("cylinder",), threads=1)
     with Simulation(config, 4, 0) as made:
         state = made.state
-    assert state.object_position is not None and state.object_quaternion is not None
-    good = GraspStates(
-        hand="dex5",
-        q=state.q,
-        q_target=state.q_target,
-        object_position=state.object_position,
-        object_quaternion=state.object_quaternion,
-        object=np.array(["cylinder"] * 4),
-        joint_names=np.array(made.hand.joint_names),
-    )
+    good = at_rest(made.hand, state, ["cylinder"] * 4)
     good.save(tmp_path / "good.npz")
     replace(good, q_target=good.q - 0.5).save(tmp_path / "loose.npz")
     short = ("hold", "--object", "cylinder", "--episodes", "4", "--seconds", "0.1", "--json")
@@ -239,23 +230,15 @@ def test_who_is_told_is_evaluated(asked: tuple[str, ...]) -> None:
     assert run("goal", *words, *asked) == 0
 
 
-def test_the_root_is_gone_to_from_elsewhere(tmp_path: Path) -> None:
+def test_the_root_is_gone_to_from_elsewhere(
+    tmp_path: Path, at_rest: Callable[..., GraspStates]
+) -> None:
     """Whoever starts there has come to it by doing nothing."""
     words = ("--episodes", "1", "--seconds", "0.1", "--object", "cube", "--goals", "root")
     with pytest.raises(InvalidInput, match="goals is 'root', .* expected initial_states"):
         run("hold", *words)
     with Simulation(SceneConfig(threads=1), 1, 0) as made:
-        state, hand = made.state, made.hand
-    assert state.object_position is not None and state.object_quaternion is not None
-    GraspStates(
-        hand="dex5",
-        q=state.q,
-        q_target=state.q_target,
-        object_position=state.object_position,
-        object_quaternion=state.object_quaternion,
-        object=np.array(["cube"]),
-        joint_names=np.array(hand.joint_names),
-    ).save(tmp_path / "states.npz")
+        at_rest(made.hand, made.state, ["cube"]).save(tmp_path / "states.npz")
     assert run("hold", *words, "--from", str(tmp_path / "states.npz")) == 0  # the root never varies
 
 
