@@ -125,8 +125,8 @@ class Ablation:
             },
         ).with_mass()  # as a run keeps it
 
-    def measure(self, name: str, seed: int, given: Options) -> dict[str, Any]:
-        """Train a variant, or go on; evaluate its policy."""
+    def trained(self, name: str, seed: int, given: Options) -> tuple[str, dict[str, Any]]:
+        """Train a variant, or go on: its folder, and what a row says of the training."""
         from learning.training.trainer import resume, train
 
         folder = given.runs / f"{name}-{seed}"
@@ -138,14 +138,21 @@ class Ablation:
                 found = train(wanted, folder)
         except KeyboardInterrupt:  # its checkpoint is saved; the pool would give it the next one
             os._exit(130)
-        who = open_subject(str(folder))
-        alone = evaluate(who, who.protocol(episodes=given.trials, seconds=given.seconds, threads=1))
-        return {
+        return str(folder), {
             "variant": name,
             "training_seed": seed,
             "config": to_plain(wanted),
             "steps": found["steps"],
             "training_seconds": round(float(found["last"]["seconds"]), 1),
+        }
+
+    def measure(self, name: str, seed: int, given: Options) -> dict[str, Any]:
+        """Train a variant, or go on; evaluate its policy."""
+        folder, row = self.trained(name, seed, given)
+        who = open_subject(folder)
+        alone = evaluate(who, who.protocol(episodes=given.trials, seconds=given.seconds, threads=1))
+        return {
+            **row,
             "rotation_rad": over_seeds(alone.rotation),
             "full_turn": share(alone.rotation >= FULL_TURN),
             "dropped": share(alone.dropped),
@@ -182,13 +189,13 @@ class Ablation:
         chosen = given.variants or tuple(self.variants)
         measure_with_seeds(
             self.name, given, "variant", list(self.variants), chosen, self.config, self.measure,
-            self.save, line,
+            self.save, self.line,
         )  # fmt: skip
 
-
-def line(row: Mapping[str, Any]) -> str:
-    """A row for whoever waits."""
-    return f"{row['rotation_rad']['median']:.1f} rad"
+    @staticmethod
+    def line(row: Mapping[str, Any]) -> str:
+        """A row for whoever waits."""
+        return f"{row['rotation_rad']['median']:.1f} rad"
 
 
 def main() -> None:
