@@ -1,8 +1,9 @@
 """Identification end to end: the emulated servo hand with hidden values, its log, and the fit.
 
-Each trial draws the gears' dry friction and the latency, which nobody tells the fit, and is two
-commands: `dexctl hardware run ... --emulate` in real time, and `dexctl hardware identify` of its
-log. A chirp of the empty hand tells all of a joint, a gait what the servo's torque tells.
+Each trial draws stiffness, damping, dry friction and rotor of each joint and the latency of all,
+which nobody tells the fit, and is two commands: `dexctl hardware run ... --emulate` in real time,
+and `dexctl hardware identify` of its log. A chirp of the empty hand tells all of a joint, a gait
+what the servo's torque tells.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -19,8 +21,9 @@ from typing import Any
 import numpy as np
 from common import Figure, Settings, earlier, progress, settings, write
 
-from dexctl import hands
-from dexctl.sim import Scene
+from dexctl.settings import changed
+from dexctl.sim import SceneConfig
+from hardware.emulator.mujoco_hand import MujocoHand
 from hardware.log import read_log
 
 TOLD = {"chirp": ("friction", "armature", "damping", "stiffness", "latency")}
@@ -28,6 +31,7 @@ TOLD = {"chirp": ("friction", "armature", "damping", "stiffness", "latency")}
 UNITS = {"friction": "N m", "armature": "kg m^2", "damping": "N m s/rad", "latency": "s"}
 NEAR = {"latency": 0.015}
 """How far off it may be in the median joint: the latency, to which the bus adds, this [s], ..."""
+DRAWN = ("stiffness", "damping", "gear_friction", "armature", "latency")
 SHARE = 0.25
 """... of all else this share of it."""
 
@@ -42,10 +46,16 @@ class Options(Settings):
     """Of each."""
     seconds: float = 26.0
     """Of each run; a chirp of all joints of a finger takes 26."""
+    stiffness: tuple[float, float] = (0.7, 1.3)
+    """Drawn from this range for each joint, as shares of what the servos are told."""
+    damping: tuple[float, float] = (0.7, 1.3)
+    """The same, of servo and joint."""
     gear_friction: tuple[float, float] = (0.02, 0.05)
-    """Drawn from this range [N m]."""
+    """Drawn from this range for each joint [N m]."""
+    armature: tuple[float, float] = (0.001, 0.004)
+    """As well [kg m^2]."""
     latency: tuple[float, float] = (0.02, 0.06)
-    """Drawn from this range [s]."""
+    """Drawn from this range for a run [s]."""
 
 
 def said(*words: str) -> dict[str, Any]:
@@ -59,43 +69,54 @@ def said(*words: str) -> dict[str, Any]:
 
 def trial(motion: str, seed: int, given: Options) -> dict[str, Any]:
     """One run and the fit of its log."""
-    random = np.random.default_rng(seed)
-    friction, latency = (float(random.uniform(*x)) for x in (given.gear_friction, given.latency))
+    latency = float(np.random.default_rng(seed).uniform(*given.latency))
     with tempfile.TemporaryDirectory() as folder:
         run = said(
             "run", motion, "--emulate", "--out", folder, "--seconds", f"{given.seconds:g}",
-            "--seed", str(seed), "--gear-friction", f"{friction}", "--action-latency",
-            f"{latency}", "--patience", "5",
+            "--seed", str(seed), "--action-latency", f"{latency}", "--patience", "5",
+            "--stiffness-range", between(given.stiffness),
+            "--damping-range", between(given.damping),
+            "--gear-friction-range", between(given.gear_friction),
+            "--armature-range", between(given.armature),
         )  # fmt: skip
         log = Path(folder) / "run.mcap"
         about = read_log(log).run
         found = said("identify", str(log))
-    joints = Scene.build("dex5", "cube").model  # its joints are alike
-    row = joints.joint(hands.load("dex5").joint_names[0]).dofadr[0]
-    truth = {
-        "friction": friction,
-        "armature": float(joints.dof_armature[row]),
-        "damping": about["damping_nms_per_rad"] + float(joints.dof_damping[row]),
-        "stiffness": about["stiffness_nm_per_rad"],
-        "latency": latency,
-    }
     return {
         "motion": motion,
         "seed": seed,
         "outcome": run["outcome"],
-        "hidden": truth,
+        "hidden": hidden(about, seed) | {"latency": latency},
         "found": {name: found[name] for name in TOLD.get(motion, ("stiffness", "latency"))},
         "explained": int(np.sum(found["explained"])),
     }
+
+
+def between(drawn: tuple[float, float]) -> str:
+    """A range as commands take it."""
+    return ",".join(f"{value:g}" for value in drawn)
+
+
+def hidden(about: Mapping[str, Any], seed: int) -> dict[str, list[float]]:
+    """What the emulated joints of a run were: the same scene and seed draw the same."""
+    joints = MujocoHand(changed(SceneConfig(), about["scene"]), seed)
+    drawn = joints.drawn
+    truth = {
+        "friction": drawn.gear_friction[0],
+        "armature": drawn.armature[0],
+        "damping": about["damping_nms_per_rad"] * joints.kv_share + drawn.damping[0],
+        "stiffness": about["stiffness_nm_per_rad"] * joints.kp_share,
+    }
+    return {name: np.round(values, 6).tolist() for name, values in truth.items()}
 
 
 def errors(rows: list[dict[str, Any]], name: str) -> np.ndarray:
     """Of all joints that tell it, as `NEAR` and `SHARE` count."""
     every = []
     for row in rows:
-        hidden = row["hidden"][name]
-        off = np.array(row["found"][name], float) - hidden
-        every.append(np.abs(off) / (1.0 if name in NEAR else hidden))
+        true = np.array(row["hidden"][name])
+        off = np.array(row["found"][name], float) - true
+        every.append(np.abs(off) / (1.0 if name in NEAR else true))
     values = np.concatenate(every)
     return values[np.isfinite(values)]
 
@@ -109,10 +130,10 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
             off = errors(mine, name)
             if not len(off):
                 continue
-            hidden = [row["hidden"][name] for row in mine]
+            true = np.concatenate([np.atleast_1d(row["hidden"][name]) for row in mine])
             middle, worst = float(np.median(off)), float(np.quantile(off, 0.9))
             unit = UNITS.get(name, "N m/rad")
-            of = f"{min(hidden):.3g} to {max(hidden):.3g} {unit}"
+            of = f"{true.min():.3g} to {true.max():.3g} {unit}"
             found = [f"{1000 * x:.0f} ms" if name in NEAR else f"{100 * x:.0f} %"
                      for x in (middle, worst)]  # fmt: skip
             near = NEAR.get(name, SHARE)
@@ -137,7 +158,7 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    rows = earlier("identification", given, ("seconds", "gear_friction", "latency"))
+    rows = earlier("identification", given, ("seconds", *DRAWN))
     done = {(row["motion"], row["seed"]) for row in rows}
     seeds = range(given.seed, given.seed + given.trials)
     for motion, seed in product(given.motions, seeds):

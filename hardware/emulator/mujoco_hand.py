@@ -45,6 +45,9 @@ class MujocoHand(Joints):
 
     Attributes:
         supported: whether somebody holds the object still.
+        drawn: what the ranges of the scene made of the joints, which nobody tells who runs them.
+        kp_share, kv_share: what they made of the servos' gains, as shares of those that they are
+            told, ``(d,)``.
 
     Raises:
         UnknownName: no such object.
@@ -69,7 +72,8 @@ class MujocoHand(Joints):
         self._gains = np.zeros((2, len(self.q)))  # that the actuators have; 0: none were told
         # what ranges made of the gains in this run, as shares of those that servos are told
         draws = self._sim.randomiser
-        self._kp_share, self._kv_share = (
+        self.drawn = draws.drawn
+        self.kp_share, self.kv_share = (
             np.where(usual > 0, drawn / np.where(usual > 0, usual, 1.0), 1.0)
             for drawn, usual in (
                 (draws.drawn.kp[0], draws.usual.kp[0]),
@@ -134,14 +138,14 @@ class MujocoHand(Joints):
             return
         new = (told != self._gains).any(axis=0)
         self._gains = told
-        self._kp = np.where(new, told[0] * self._kp_share, self._kp)
-        self._kv = np.where(new, told[1] * self._kv_share, self._kv)
+        self._kp = np.where(new, told[0] * self.kp_share, self._kp)
+        self._kv = np.where(new, told[1] * self.kv_share, self._kv)
         self._sim.sim.set_parameters(kp=self._kp[None], kv=self._kv[None])
 
     def _set_points(self) -> Floats:
         """Set-points ``(d,)`` [rad] at which the actuators make the torques of the servos."""
         c, q, v, kp, kv = self.commands, self.q, self.velocity, self._kp, self._kv
-        own_kp, own_kd = c.kp * self._kp_share, c.kd * self._kv_share
+        own_kp, own_kd = c.kp * self.kp_share, c.kd * self.kv_share
         torque = np.clip(own_kp * (self.reference - q) - own_kd * v, -c.limit, c.limit)
         torque = np.where(c.mode == OperatingMode.CURRENT, c.goal_torque, torque)
         torque = np.where(c.mode == OperatingMode.PWM, c.duty * STALL_TORQUE, torque)

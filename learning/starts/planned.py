@@ -68,6 +68,7 @@ class PlannedStarts(Starts):
         else:
             start = perf_counter()
             scenes = [group.scene for group in simulation.sim.groups]
+            remark(self._beginning())
             states = GraspStates.concatenate([self._made(scene, remark) for scene in scenes])
             states.save(path)
             remark(
@@ -75,6 +76,12 @@ class PlannedStarts(Starts):
                 f"{perf_counter() - start:.0f} s"
             )
         simulation.start_from(states)
+
+    def _beginning(self) -> str:
+        """What is about to be waited for."""
+        config = self._config
+        what = "sampling grasps" if config.start_from == "grasps" else "growing a tree"
+        return f"{what} for each object, for {config.start_seconds:g} s at most"
 
     def _made(self, scene: Scene, remark: Remark) -> GraspStates:
         """Those of one object; what was found of what is wanted is remarked on."""

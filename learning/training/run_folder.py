@@ -85,6 +85,11 @@ class RunFolder:
         self._make()
         write_text(self.config_path, json.dumps(config, indent=2) + "\n")
 
+    def forget(self) -> None:
+        """Take back `create` and `note_hand`, for a run that cannot begin."""
+        for path in (self.config_path, self.hand_path):
+            path.unlink(missing_ok=True)
+
     def note_hand(self, hand: HandModel) -> None:
         """Keep which hand is trained; where it is kept already, it has to be the same.
 

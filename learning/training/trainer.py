@@ -76,9 +76,14 @@ def train(
         with folder.lock():
             folder.create(trainer.config)
             folder.note_hand(trainer.env.hand)
+            trainer.take_starts()
+            try:
+                trainer.plan()
+            except DexctlError:  # the same command may be given again with other settings
+                folder.forget()
+                raise
             if remark is not None:
                 remark(f"the run is kept in {path}")
-            trainer.take_starts()
             return trainer.run(None)
     finally:
         trainer.close()
@@ -120,6 +125,7 @@ def resume(
             folder.note_hand(trainer.env.hand)
             if saved is None:
                 trainer.begin()
+            trainer.plan()
             return trainer.run(saved)
         finally:
             trainer.close()
@@ -178,10 +184,17 @@ class Trainer:
         self._observation, _ = self.env.reset()
         self._log: RunLog | None = None
 
+    def plan(self) -> None:
+        """Make or read the states that episodes start from, which may take minutes; before `run`.
+
+        Raises:
+            InvalidInput, SimulationError: there are none, or too few.
+        """
+        self.starts.begin(self.folder.starts_path, self._remark)
+
     def run(self, saved: dict[str, Any] | None) -> dict[str, Any]:
         """Train, from a checkpoint's content or from the beginning; see `resume`."""
         resume_at = None
-        self.starts.begin(self.folder.starts_path, self._remark)
         if saved is None:
             self._prepare()
         else:

@@ -66,6 +66,10 @@ RUNS: dict[str, list[str]] = {
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--jobs", "1"),
         *("--variants", "joints"),
     ],
+    "seen_ablation.py": [
+        *(*SHORT, "--steps", "300", "--num-envs", "10", "--jobs", "1"),
+        *("--variants", "settled"),
+    ],
     "commanded_speed.py": [
         *(*SHORT, "--steps", "300", "--num-envs", "4", "--speeds", "0.5"),
     ],
@@ -116,8 +120,8 @@ LONGER = {  # than five seconds of processor, however little they are asked for
     "hands_learned.py", "hands_turning.py", "hardware_grasp.py", "hardware_loop.py",
     "identification.py", "in_grasp.py", "learned.py", "learner.py",
     "learning_ablation.py", "planning.py", "predictive_sampling.py", "ranges.py",
-    "reach.py", "reorientation.py", "robustness.py", "servo_goals.py", "servo_hand.py", "starts.py",
-    "touch.py", "touch_tracking.py",
+    "reach.py", "reorientation.py", "robustness.py", "seen_ablation.py", "servo_goals.py", "servo_hand.py",
+    "starts.py", "touch.py", "touch_tracking.py",
 }  # fmt: skip
 
 FIRST_SEEDS = {  # of those that do not begin with 0
@@ -180,14 +184,14 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
     if script in (
         "learner.py", "learned.py", "learning_ablation.py", "algorithms.py", "starts.py",
         "devices.py", "goal_policies.py", "feedback.py", "feedback_x.py", "commanded_speed.py",
-        "goals_any_way_up.py",
+        "goals_any_way_up.py", "seen_ablation.py",
     ):  # fmt: skip
         pytest.importorskip("torch", reason="needs the extra 'learning'")
     if script in ("learner.py", "algorithms.py"):
         pytest.importorskip("stable_baselines3", reason="needs the peer, of the extra 'dev'")
     if script in (
         "learning_ablation.py", "feedback.py", "feedback_x.py", "starts.py", "goal_policies.py",
-        "commanded_speed.py", "goals_any_way_up.py",
+        "commanded_speed.py", "goals_any_way_up.py", "seen_ablation.py",
     ):  # fmt: skip
         arguments += ["--runs", request.getfixturevalue("tmp_path_factory").mktemp("runs")]
     if script == "hands_turning.py":

@@ -59,15 +59,16 @@ def test_paths_and_grasps_are_planned_once(tmp_path: Path, said: list[str]) -> N
     assert 30 <= len(states) <= 80
     assert states.weight is not None and states.parent is not None
     assert json.loads(states.meta)["tree"]["seed"] == 3
-    assert said[0].startswith(f"cylinder: {len(states)} of 40 states wanted, of a tree of ")
-    assert said[0].endswith(" rad") and len(said) == 2
-    assert f"{len(states)} states to start from in {path}" in said[1]
+    assert said[0] == "growing a tree for each object, for 20 s at most"
+    assert said[1].startswith(f"cylinder: {len(states)} of 40 states wanted, of a tree of ")
+    assert said[1].endswith(" rad") and len(said) == 3
+    assert f"{len(states)} states to start from in {path}" in said[2]
     made.reset()
     for q in made.state.q:
         assert np.abs(states.q - q).max(axis=1).min() < 1e-12
     again = env(4)
     make_starts(config, again, 4).begin(path, said.append)  # as it is after a kill
-    assert len(said) == 2
+    assert len(said) == 3
     assert again.simulation.starts is not None
     np.testing.assert_array_equal(again.simulation.starts.q, states.q)
     grasps = replace(config, start_from="grasps", start_count=5)
@@ -153,7 +154,23 @@ def test_a_single_state_is_refused(tmp_path: Path, said: list[str]) -> None:
             make_starts(config, env(4, object=("dodecahedron",)), 0).begin(
                 tmp_path / "none.npz", said.append
             )
-    assert not (tmp_path / "none.npz").exists() and not said
+    assert not (tmp_path / "none.npz").exists()
+    assert said == [
+        f"growing a tree for each object, for {limit} s at most" for limit in (0.05, 20)
+    ]
+
+
+def test_a_training_whose_starts_cannot_be_planned_leaves_no_run(
+    small: Make, tmp_path: Path
+) -> None:
+    """So that the same command may be given again, with other settings."""
+    pytest.importorskip("torch")
+    from learning.training.trainer import train
+
+    settings = {"object": ("dodecahedron",), "start_seconds": 20.0, "steps": 4, "num_envs": 4}
+    with pytest.raises(InvalidInput, match="no grasp of the dodecahedron"):
+        train(small(start_from="paths", **settings), tmp_path / "run")
+    train(small(start_from="fixed", **settings), tmp_path / "run")
 
 
 def test_explored_states_are_those_of_the_training(tmp_path: Path, said: list[str]) -> None:
