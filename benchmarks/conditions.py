@@ -223,6 +223,7 @@ def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any
         "time_held_s": over_seeds(found.time_held),
         "fingertips_only": round(float(found.fingertips_only.mean()), 4),
         "drift_mm": over_seeds(1000.0 * found.drift),
+        "sink_mm": over_seeds(1000.0 * found.sink),
         **curves,
     }
 
@@ -286,7 +287,6 @@ def _figures(
     held, trials = (sum(row["holding"][key] for row in mine) for key in ("count", "of"))
     speed = float(np.mean([row["speed_rad_s"] for row in mine]))
     turns = min(row["revolutions_median"] for row in mine)
-    drift = max(row["drift_mm"]["median"] for row in mine)
     tips = min(row["fingertips_only"] for row in mine)
     floor, goal = f"floor: {100 * FLOOR:.0f} % hold", f"{100 * condition.hold:.0f} % hold"
     measured = f"{held} of {trials}, {speed:.2f} rad/s"
@@ -308,6 +308,7 @@ def _figures(
         measured += f", {turns:.3g} turns"
         met = met and turns >= wanted
     if condition.turns:
+        drift = max(row["drift_mm"]["median"] for row in mine)
         goal += f", drift under {condition.drift:g} mm, only fingertips in "
         goal += f"{100 * condition.fingertips:g} %"
         measured += f", {drift:.0f} mm, {100 * tips:.1f} %"
@@ -344,12 +345,13 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
             f"{row['rotation_rad']['median']:.1f}",
             f"{row['speed_rad_s']:.2f}",
             f"{100 * row['fingertips_only']:.1f} %",
-            f"{row['drift_mm']['median']:.0f}",
+            *(f"{row[far]['median']:.0f}" if far in row else "" for far in ("drift_mm", "sink_mm")),
         ]
         for row in sorted(rows, key=lambda row: list(CONDITIONS).index(row["condition"]))
     ]
     header = ["", "Conditions", "Object", "Episodes", "Held", "Within 25 mm"]
-    header += ["Rotation: median [rad]", "Speed [rad/s]", "Only fingertips", "Drift: median [mm]"]
+    header += ["Rotation: median [rad]", "Speed [rad/s]", "Only fingertips"]
+    header += ["Drifts by: median [mm]", "Sinks by: median [mm]"]  # at most, any way; along gravity
     table = {
         "title": "Under named conditions, about the axis that a policy was trained for, "
         f"{given.seconds:g} s each, or as long as is said",

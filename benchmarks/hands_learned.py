@@ -116,7 +116,7 @@ def measure(policy: Subject, who: Subject, chosen: str, given: Options) -> dict[
         "speed_rad_s": over_seeds(found.speed),
         "holding": share(~found.dropped),
         "fingertips_only": round(float(found.fingertips_only.mean()), 4),
-        "drift_mm": over_seeds(1000.0 * found.drift),
+        "sink_mm": over_seeds(1000.0 * found.sink),
     }
 
 
@@ -154,7 +154,7 @@ def line(row: dict[str, Any]) -> list[str]:
         f"{row['speed_rad_s']['median']:.2f}",
         percent_interval(row["holding"]),
         f"{100 * row['fingertips_only']:.1f} %",
-        f"{row['drift_mm']['median']:.0f}",
+        f"{row['sink_mm']['median']:.0f}",
     ]
 
 
@@ -165,7 +165,7 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
         "title": f"Policies for other hands and their guides, {given.trials} episodes each",
         "header": [
             "Hand", "Object", "", "Who", "Rotation: median (10-90 %) [rad]", "Speed [rad/s]",
-            "Held (95 % interval)", "Only fingertips", "Drift: median [mm]",
+            "Held (95 % interval)", "Only fingertips", "Sinks by: median [mm]",
         ],
         "rows": lines,
     }  # fmt: skip

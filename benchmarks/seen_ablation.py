@@ -137,6 +137,7 @@ def _alone(who: Subject, names: tuple[str, ...], given: Options) -> dict[str, An
         "speed_rad_s": round(float(over(every, "speed").mean()), 4),
         "rotation_rad": over_seeds(over(every, "rotation")),
         "drift_mm": over_seeds(1000.0 * over(every, "drift")),
+        "sink_mm": over_seeds(1000.0 * over(every, "sink")),
         "fingertips_only": round(float(over(every, "fingertips_only").mean()), 4),
     }
 

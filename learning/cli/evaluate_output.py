@@ -120,8 +120,6 @@ def print_transfer(found: Transfer, protocol: Protocol) -> None:
 def _figures(one: Evaluation) -> Table:
     """One evaluation: a row for each figure."""
     figures = one.figures()
-    drawn = one.protocol.scene.randomisation.draws_gravity
-    drift = "drifts by" if drawn else "sinks by"
     return facts(
         (name, interval(figures[figure], unit, digits, factor))
         for name, figure, unit, digits, factor in (
@@ -144,7 +142,8 @@ def _figures(one: Evaluation) -> Table:
             ("made a full turn", "share_full_turn", "%", 0, 100.0),
             ("mean return", "return_mean", "", 1, 1.0),
             ("only fingertips touch", "share_fingertips_only", "%", 0, 100.0),
-            (drift, "drift_median_m", "mm", 1, 1e3),
+            ("sinks by", "sink_median_m", "mm", 1, 1e3),
+            ("drifts by", "drift_median_m", "mm", 1, 1e3),
         )
         if figure in figures
     )

@@ -6,7 +6,7 @@ training (`dexctl.statistics`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,8 +47,10 @@ class Evaluation:
         goals_reached, goals_missed, goals_in_a_row, first_goal_time: see `Goals`; without goals 0,
             and no time is finite.
         fingertips_only: share of the time held in which nothing but fingertips touched.
-        drift: how far the object's centre went along gravity, at most, while it was held; in any
-            direction where gravity is drawn for each episode [m].
+        drift: how far the object's centre was from where it started, at most, while it was held
+            [m].
+        sink: the same along gravity, as it was in that episode at that time; 0 where it never was
+            below its start, or where there is no gravity [m].
         moments: times ``(K,)`` [s], from 0 to the end.
         rotations: at these moments, standing still from the drop or the end on, ``(K, N)`` [rad].
     """
@@ -68,6 +70,7 @@ class Evaluation:
     first_goal_time: Floats
     fingertips_only: Floats
     drift: Floats
+    sink: Floats
     moments: Floats
     rotations: Floats
 
@@ -102,10 +105,8 @@ class Evaluation:
             goals_in_a_row=goals.in_a_row,
             first_goal_time=goals.first_time,
             fingertips_only=alone / counts.sum(axis=0),
-            drift=drift_of(
-                replace(trace, held=counts),
-                None if protocol.scene.randomisation.draws_gravity else scene.gravity,
-            ),
+            drift=np.where(counts, away, 0.0).max(axis=0),
+            sink=np.where(counts, sunk(trace, judged.gravity), 0.0).max(axis=0),
             moments=trace.time[moments],
             rotations=rotation[moments],
         )
@@ -161,6 +162,7 @@ class Evaluation:
             "share_full_turn": wilson(int((self.rotation >= FULL_TURN).sum()), count),
             "share_fingertips_only": bootstrap(self.fingertips_only, "mean"),
             "drift_median_m": bootstrap(self.drift, "median"),
+            "sink_median_m": bootstrap(self.sink, "median"),
         }
 
     def _goals(self) -> dict[str, Estimate]:
@@ -191,15 +193,14 @@ class Evaluation:
         return found | {"diverged": int(self.diverged.sum())}
 
 
-def drift_of(trace: Trace, gravity: Floats | None) -> Floats:
-    """How far the object went along ``gravity`` ``(3,)`` at most while held, ``(N,)`` [m].
+def sunk(trace: Trace, gravity: Floats) -> Floats:
+    """How far the object is from its start along ``gravity``, ``(T+1, N)`` [m].
 
-    0 where it never was below its start, or where there is no gravity. None: in any direction.
+    Args:
+        trace: of N episodes.
+        gravity: in each row, ``(T+1, N, 3)``; 0 where there is none.
     """
     moved = trace.object_position - trace.object_position[0]
-    if gravity is None:
-        far = np.linalg.norm(moved, axis=-1)
-    else:
-        size = float(np.linalg.norm(gravity))
-        far = moved @ (np.asarray(gravity, float) / size if size > 0 else np.zeros(3))
-    return np.where(trace.held, far, 0.0).max(axis=0)
+    size = np.linalg.norm(gravity, axis=-1)
+    along = (moved * gravity).sum(axis=-1)
+    return np.asarray(np.where(size > 0, along / np.where(size > 0, size, 1.0), 0.0))

@@ -50,6 +50,7 @@ class Judged:
         self._task = task.build(simulation)
         self._task.begin(np.ones(simulation.num_envs, bool), simulation.state)
         self._found: list[Judgement] = []
+        self._gravity = [_gravity(simulation)]
         self._wanted: list[dict[str, Floats]] = []
 
     def read(self) -> GraspState:
@@ -67,12 +68,18 @@ class Judged:
     def step(self) -> None:
         """One control period, and what the task says of it."""
         self._simulation.step()
+        self._gravity.append(_gravity(self._simulation))
         self._found.append(self._task.judge(Step.of(self._simulation)))
 
     @property
     def wanted(self) -> dict[str, Floats]:
         """What was wanted at rows 0 to T, ``(T+1, N, ...)``, by `GraspState`'s names."""
         return {name: np.array([row[name] for row in self._wanted]) for name in self._wanted[0]}
+
+    @property
+    def gravity(self) -> Floats:
+        """As it was at rows 0 to T, hand frame, ``(T+1, N, 3)`` [m/s^2]."""
+        return np.array(self._gravity)
 
     @property
     def rotation(self) -> Floats:
@@ -127,3 +134,9 @@ class Judged:
             in_a_row=(reached & alone).sum(axis=0),
             first_time=np.where(right, trace.time[first + 1], np.inf),
         )
+
+
+def _gravity(simulation: Simulation) -> Floats:
+    gravity = simulation.state.gravity
+    assert gravity is not None
+    return gravity.copy()

@@ -120,8 +120,8 @@ LONGER = {  # than five seconds of processor, however little they are asked for
     "hands_learned.py", "hands_turning.py", "hardware_grasp.py", "hardware_loop.py",
     "identification.py", "in_grasp.py", "learned.py", "learner.py",
     "learning_ablation.py", "planning.py", "predictive_sampling.py", "ranges.py",
-    "reach.py", "reorientation.py", "robustness.py", "seen_ablation.py", "servo_goals.py", "servo_hand.py",
-    "starts.py", "touch.py", "touch_tracking.py",
+    "reach.py", "reorientation.py", "robustness.py", "seen_ablation.py", "servo_goals.py",
+    "servo_hand.py", "starts.py", "touch.py", "touch_tracking.py",
 }  # fmt: skip
 
 FIRST_SEEDS = {  # of those that do not begin with 0

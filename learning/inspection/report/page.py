@@ -93,7 +93,8 @@ def _overview(found: Inspection) -> str:
         ("dropped", interval(figure["share_dropped"], "%", 0, 100.0)),
         ("return", interval(figure["return_mean"], "rad/s", 1)),
         ("sound grasp", f"{percent(found.grip()['sound_share'])} of the time held"),
-        ("sinks by", interval(figure["drift_median_m"], "mm", 1, 1e3)),
+        ("sinks by", interval(figure["sink_median_m"], "mm", 1, 1e3)),
+        ("drifts by", interval(figure["drift_median_m"], "mm", 1, 1e3)),
     ]
     if found.subject.kind != "controller":
         card = found.subject.card or {}

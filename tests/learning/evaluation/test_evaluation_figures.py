@@ -20,7 +20,7 @@ from dexctl.sim import Trace
 from dexctl.sim.conditions import CONDITIONS
 from learning.envs import EnvConfig, make_vector
 from learning.evaluation import Evaluation, Protocol, evaluate, open_subject, rollout
-from learning.evaluation.figures import drift_of
+from learning.evaluation.figures import sunk
 from learning.evaluation.files import write_episodes
 from learning.evaluation.judged import Goals
 from learning.evaluation.robustness import (
@@ -53,6 +53,7 @@ def made(rotation: list[float], held: list[float], dropped: list[bool]) -> Evalu
         first_goal_time=np.array([4.0, np.inf, 6.0, np.inf])[:count],
         fingertips_only=np.arange(count) / (count - 1.0),
         drift=np.arange(count) / 100.0,
+        sink=np.arange(count) / 200.0,
         moments=np.zeros(0),
         rotations=np.zeros((0, count)),
     )
@@ -69,6 +70,7 @@ def test_figures_by_hand() -> None:
     assert figures["time_held_median_s"].value == 35.0
     assert figures["share_fingertips_only"].value == 0.5
     assert figures["drift_median_m"].value == pytest.approx(0.015)
+    assert figures["sink_median_m"].value == pytest.approx(0.0075)
     told = json.loads(json.dumps(found.to_dict()))
     assert told["share_dropped"]["count"] == 4
     assert told["share_strayed"]["count"] == 4 and told["share_strayed"]["value"] == 0.75
@@ -104,7 +106,6 @@ def test_half_the_drop_distance_is_the_stricter_rule() -> None:
     )
     scene: Any = SimpleNamespace(
         object="cube",
-        gravity=np.array([0.0, 0.0, -9.81]),
         settled=SimpleNamespace(qpos=np.array([0.0, 0, 0, 1, 0, 0, 0])),
         object_qpos=slice(0, 7),
     )
@@ -115,6 +116,7 @@ def test_half_the_drop_distance_is_the_stricter_rule() -> None:
         goals=lambda trace: goals,
         held=lambda trace: trace.held,
         within=lambda: np.ones((5, 2), bool),
+        gravity=np.tile([0.0, 0.0, -9.81], (5, 2, 1)),
     )
     found = Evaluation.of(trace, scene, Protocol(episodes=2), judged)
     assert found.strayed.tolist() == [True, False]
@@ -132,18 +134,32 @@ def test_figures_of_goals_by_hand() -> None:
     assert figures["goals_in_a_row_median"].value == 0.5
 
 
-def test_drift_is_along_gravity_and_while_it_is_held() -> None:
-    position = np.zeros((4, 2, 3))
-    position[:, 0, 2] = [0.1, 0.12, 0.07, -0.9]  # falls after the third row
-    position[:, 1, 2] = [0.1, 0.2, 0.3, 0.4]
-    held = np.array([[True, True], [True, True], [True, True], [False, True]])
-    trace: Any = SimpleNamespace(object_position=position, held=held)
-    np.testing.assert_allclose(drift_of(trace, np.array([0.0, 0.0, -9.81])), [0.03, 0.0])
-    np.testing.assert_allclose(drift_of(trace, np.array([0.0, 0.0, 2.0])), [0.02, 0.3])
-    np.testing.assert_array_equal(drift_of(trace, np.zeros(3)), [0.0, 0.0])
-    position[2, 0, :2] = [0.03, 0.04]
-    far = np.sqrt(0.03**2 + 0.03**2 + 0.04**2)
-    np.testing.assert_allclose(drift_of(trace, None), [far, 0.3])  # whichever way gravity pulls
+def test_how_far_an_object_has_sunk_by_hand() -> None:
+    position = np.zeros((3, 4, 3))
+    position[:, 0, 2] = [0.1, 0.12, 0.07]
+    position[:, 1:, 2] = np.array([0.1, 0.2, 0.3])[:, None]
+    position[2, 3, :2] = [0.03, 0.04]
+    gravity = np.zeros((3, 4, 3))
+    gravity[:, 0, 2] = gravity[:, 1, 2] = -9.81
+    gravity[:, 3] = [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.6, 0.8, 0.0]]  # it turned
+    trace: Any = SimpleNamespace(object_position=position)
+    expected = [[0.0, 0.0, 0.0, 0.0], [-0.02, -0.1, 0.0, 0.1], [0.03, -0.2, 0.0, 0.05]]
+    np.testing.assert_allclose(sunk(trace, gravity), expected, atol=1e-12)
+
+
+def test_drift_is_any_way_and_sinking_along_the_gravity_of_each_episode() -> None:
+    """Up to the drop, whichever way gravity is drawn; and it may turn on the way."""
+    protocol = changed(
+        SHORT, {"object": "cube", "gravity_tilt": np.pi, "gravity_turning_range": (0.5, 1.0)}
+    )
+    found = rollout(open_subject("coordinated"), protocol)
+    drift, sink = found.evaluation.drift, found.evaluation.sink
+    moved = found.trace.object_position - found.trace.object_position[0]
+    np.testing.assert_allclose(drift, np.linalg.norm(moved, axis=-1).max(axis=0))
+    assert ((sink > 0) & (sink <= drift)).all()
+    fixed = rollout(open_subject("coordinated"), changed(SHORT, {"object": "cube"}))
+    moved = fixed.trace.object_position - fixed.trace.object_position[0]
+    np.testing.assert_allclose(fixed.evaluation.sink, (-moved[..., 2]).max(axis=0))
 
 
 @pytest.mark.parametrize(
