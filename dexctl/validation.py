@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from dexctl.exceptions import InvalidInput, UnknownName
 
+DAY = 86400.0
+"""Longest time that anything is asked to take [s]."""
+
 
 def check_numbers(
     config: object,

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from dexctl.exceptions import InvalidInput
+from dexctl.validation import DAY
 
 
 def check_seconds(seconds: float, control_period: float) -> float:
-    """``seconds`` if it is finite and at least one control period."""
-    if not (math.isfinite(seconds) and seconds >= control_period):
+    """``seconds`` if it is at least one control period, and a day at most."""
+    if not control_period <= seconds <= DAY:
         raise InvalidInput(
-            f"--seconds is {seconds}; expected a finite number of at least {control_period}"
+            f"--seconds is {seconds}; expected a finite number of at least {control_period}, a day "
+            "at most"
         )
     return seconds
 

@@ -18,10 +18,9 @@ from dexctl.grasp.cones import DEFAULT_EDGES, DEFAULT_TORSION
 from dexctl.grasp.contacts import check_mask
 from dexctl.grasp.forces import GraspForces, grasp_forces
 from dexctl.state import Bools, Floats, GraspState
+from dexctl.validation import DAY, number
 from dexctl.validation import check_mask as check_chosen
-from dexctl.validation import number
 
-DAY = 86400.0
 _MOST = float(np.finfo(float).max)
 
 

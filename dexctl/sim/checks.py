@@ -11,6 +11,7 @@ from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
 from dexctl.validation import check_vector, number
 
+_MOST_GRAVITY = 1000.0  # m/s^2, a hundred times the earth's
 GRAVITY = {"up": (0.0, 0.0, -9.81), "down": (0.0, 0.0, 9.81)}
 
 
@@ -45,7 +46,10 @@ def gravity_vector(gravity: str | ArrayLike) -> Floats:
         if gravity not in GRAVITY:
             raise UnknownName("gravity", gravity, [*GRAVITY, "a vector (x, y, z) in m/s^2"])
         return np.array(GRAVITY[gravity])
-    return vector("gravity", gravity, 3)
+    found = vector("gravity", gravity, 3)
+    if np.abs(found).max() > _MOST_GRAVITY:  # no grasp holds, and what is said of it misleads
+        raise InvalidInput(f"gravity is {gravity}; expected at most {_MOST_GRAVITY:g} m/s^2")
+    return found
 
 
 def gravity_name(gravity: Sequence[float]) -> str | tuple[float, ...]:

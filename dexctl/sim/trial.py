@@ -23,7 +23,7 @@ from dexctl.sim.grouped import GroupedSimulator
 from dexctl.sim.simulation import Simulation
 from dexctl.sim.simulator import BatchSimulator
 from dexctl.state import Bools, Floats, GraspState
-from dexctl.validation import unit_axis
+from dexctl.validation import DAY, unit_axis
 
 DROP_DISTANCE = 0.05
 Simulator = BatchSimulator | GroupedSimulator
@@ -137,10 +137,11 @@ def run(
             f"the controller's control_period is {controller.control_period} s and the simulator's "
             f"{sim.control_period} s; expected the same"
         )
-    steps = round(seconds / sim.control_period) if np.isfinite(seconds) else 0
+    steps = round(seconds / sim.control_period) if abs(seconds) <= DAY else 0
     if steps < 1:
         raise InvalidInput(
-            f"seconds is {seconds}; expected at least one control period, {sim.control_period} s"
+            f"seconds is {seconds}; expected at least one control period, {sim.control_period} s, "
+            "and a day at most"
         )
     seen: Plant = sim if plant is None else plant
     physics = sim.sim if isinstance(sim, Simulation) else sim
