@@ -85,6 +85,13 @@ class Controller(ABC):
     def act(self, state: GraspState) -> Floats:
         """The set-point change ``(..., d)`` [rad] for this control period."""
 
+    def check_told(self, angular_velocity: ArrayLike) -> None:  # noqa: B027 (most take any)
+        """Raise InvalidInput where it was not made to turn as a state is about to tell it.
+
+        Args:
+            angular_velocity: ``(3,)`` [rad/s], hand frame.
+        """
+
     def state_dict(self) -> dict[str, Any]:
         """All that decides the actions to come, beyond hand and settings.
 

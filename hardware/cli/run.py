@@ -132,6 +132,8 @@ class Run(HandOptions):
             )
         if self.spin is not None and controller.turns_as_told is False:
             raise turns_as_made(self.controller, self.spin)
+        if self.spin is not None:
+            controller.check_told(self.spin)
         if self.spin is None and controller.turns_as_told:
             raise InvalidInput(
                 f"{self.controller} acts only where it is told how to turn the object; expected "

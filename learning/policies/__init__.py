@@ -92,7 +92,8 @@ def load(
             pace=own_pace if pace is None else pace,
         )  # fmt: skip
         found = found if axis is None else found.turned_to(axis)
-        found.check_commanded()
+        if angular_velocity is not None:
+            found.check_told(angular_velocity)
         return found
     except DexctlError as error:
         raise InvalidInput(f"policy {str(path)!r}: {error}") from None

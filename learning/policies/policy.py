@@ -300,10 +300,10 @@ class Policy(Controller):
             "it may take for anything"
         )
 
-    def check_commanded(self) -> None:
-        """Raise InvalidInput where it is told to turn as it was never told in training."""
-        own, asked = self.commanded, self._wanted["goal_angular_velocity"]
-        if own is None or asked is None:
+    def check_told(self, angular_velocity: ArrayLike) -> None:
+        """Raise InvalidInput where it was never told in training to turn so."""
+        own, asked = self.commanded, np.asarray(angular_velocity, float)
+        if own is None:
             return
         seen = asked if self.symmetry is None else self.symmetry.inverse.of_turnings(asked)
         speed = float(np.linalg.norm(seen))

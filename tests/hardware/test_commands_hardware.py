@@ -187,6 +187,10 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
             "--spin is (0.0, 0.0, 1.0) and --goal (1.0, 0.0, 0.0, 0.0); expected one of them",
         ),
         (
+            ["run", "dex5-axes", "--emulate", *["--spin", "0", "0", "5", "--object-pose", "touch"]],
+            "angular_velocity is (0, 0, 5) rad/s; the policy was trained with commands x, -x",
+        ),
+        (
             ["run", "dex5-axes", "--emulate", *["--spin", "0", "0", "nan"]],
             "spin is (0.0, 0.0, nan); expected three finite numbers [rad/s]",
         ),
