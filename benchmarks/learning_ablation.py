@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from common import FULL_TURN, Settings, measure_with_seeds, over_seeds, settings, share, write
 
@@ -106,6 +106,11 @@ class Ablation:
     )
     about: str = "cylinder"
     guided: float = 1.0
+    columns: ClassVar[tuple[str, ...]] = ("rotation [rad]", "full turn", "dropped", "return")
+
+    def alone(self, given: Options) -> str:
+        """How the policies are evaluated, for people."""
+        return f"the policy alone in {given.trials} episodes of {given.seconds:g} s"
 
     def config(self, name: str, seed: int, given: Options) -> TrainConfig:
         """Everything that the training of a variant is."""
@@ -178,8 +183,8 @@ class Ablation:
         guided = "all" if self.guided == 1.0 else f"{100 * self.guided:g} %"
         table = {
             "title": f"{self.title}: {self.about}, {given.steps:,} steps, {guided} guided, "
-            f"seed {seeds}; the policy alone in {given.trials} episodes of {given.seconds:g} s",
-            "header": ["", "rotation [rad]", "full turn", "dropped", "return"],
+            f"seed {seeds}; {self.alone(given)}",
+            "header": ["", *self.columns],
             "rows": list(self.lines(trials)),
         }
         write(self.name, given, [], [table], trials=trials, say=say)

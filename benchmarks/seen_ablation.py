@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import over_seeds, percent_interval, settings, share, write
+from common import over_seeds, percent_interval, settings, share
 from conditions import EASY
 from learning_ablation import Ablation, Options, Variant
 
@@ -87,6 +87,14 @@ class SeenOptions(Options):
 class SeenAblation(Ablation):
     """Trainings of several variants, and each policy alone any way up."""
 
+    columns = tuple(f"{what}: {of}" for what in UNDER for of in ("held", "rad/s", "drift [mm]"))
+
+    def alone(self, given: Options) -> str:
+        return (
+            "the policy alone any way up, told the pose by a tracker, in "
+            f"{len(EASY) * given.trials} episodes of {given.seconds:g} s"
+        )
+
     def measure(self, name: str, seed: int, given: Options) -> dict[str, Any]:
         folder, row = self.trained(name, seed, given)
         who = open_subject(folder)
@@ -108,18 +116,6 @@ class SeenAblation(Ablation):
     @staticmethod
     def line(row: Mapping[str, Any]) -> str:
         return "; ".join(f"{what} {_held(row[what])} {_speed(row[what])}" for what in UNDER)
-
-    def save(self, trials: list[dict[str, Any]], given: Options, *, say: bool) -> None:
-        seeds = ", ".join(map(str, sorted({row["training_seed"] for row in trials})))
-        header = [f"{what}: {of}" for what in UNDER for of in ("held", "rad/s", "drift [mm]")]
-        table = {
-            "title": f"{self.title}: {self.about}, {given.steps:,} steps, {100 * self.guided:g} % "
-            f"guided, seed {seeds}; the policy alone any way up, told the pose by a tracker, in "
-            f"{len(EASY) * given.trials} episodes of {given.seconds:g} s",
-            "header": ["", *header],
-            "rows": list(self.lines(trials)),
-        }
-        write(self.name, given, [], [table], trials=trials, say=say)
 
 
 def _alone(who: Subject, names: tuple[str, ...], given: Options) -> dict[str, Any]:
