@@ -56,6 +56,8 @@ class Options(Settings):
     """Of each; in the thesis until the drop, or 10 minutes."""
     joint_offset: float = 0.03
     """Standard deviation of what encoders read at zero: 0.1 rad at the very most [rad]."""
+    most_offset: float = 0.0
+    """Above 0: they read up to this each way, evenly, in place of that [rad]."""
     jobs: int = 3
     """Trials at a time; each takes a quarter of a core."""
     pose: Literal["touch", "tracked"] = "touch"
@@ -94,9 +96,13 @@ def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
     words = [
         word for name, value in told.items() for word in (f"--{name.replace('_', '-')}", f"{value}")
     ]
+    off = ["--joint-offset", f"{given.joint_offset:g}"]
+    if given.most_offset:
+        most = f"{given.most_offset:g}"
+        off = ["--joint-offset", "0", "--joint-offset-range", f"-{most},{most}"]
     found = emulated_run(
         who, "--object", turned, "--seconds", f"{given.seconds:g}", "--seed", str(seed),
-        "--joint-offset", f"{given.joint_offset:g}", "--object-pose", pose, *words,
+        "--object-pose", pose, *off, *words,
     )  # fmt: skip
     figures = found["figures"]
     lost = figures.get("object_lost_at_s")
@@ -106,6 +112,7 @@ def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
         "seed": seed,
         "object_pose": pose,
         "seconds": given.seconds,
+        **offset(given),
         **told,
         "rotation_rad": figures["rotation_rad"],
         "lost_at_s": lost,
@@ -116,21 +123,31 @@ def trial(who: str, turned: str, seed: int, given: Options) -> dict[str, Any]:
     }
 
 
+def offset(given: Options) -> dict[str, float]:
+    """How far origins are off, where they are off evenly."""
+    return {"most_offset": given.most_offset} if given.most_offset else {}
+
+
 def kind(row: dict[str, Any]) -> tuple[Any, ...]:
-    """What trials have in common: who turns what, by which pose and tracker, for how long."""
+    """What trials have in common: who turns what, by which pose and tracker, for how long.
+
+    And how far origins are off.
+    """
     return (
         row["who"], row["object"], row.get("object_pose", "unknown"), row["seconds"],
-        *(row.get(name) for name in TRACKER),
+        *(row.get(name) for name in (*TRACKER, "most_offset")),
     )  # fmt: skip
 
 
 def told_of(row: dict[str, Any]) -> str:
-    """By what the pose is known, for people."""
-    pose = row.get("object_pose")
+    """By what the pose is known, and how far origins are off where not as usual, for people."""
+    pose, even = row.get("object_pose"), ""
+    if "most_offset" in row:
+        even = f", origins off by up to {row['most_offset']:g} rad, evenly"
     if pose == "tracked":
         late, place, turn = (row[name] for name in TRACKER)
-        return f", by a tracker {1e3 * late:g} ms late, {1e3 * place:g} mm, {turn:g} rad"
-    return ", told by touch" * (pose == "touch")
+        return f", by a tracker {1e3 * late:g} ms late, {1e3 * place:g} mm, {turn:g} rad{even}"
+    return ", told by touch" * (pose == "touch") + even
 
 
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
@@ -180,8 +197,8 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     slow = f"; speeds of {first}, measured first, count the approach, about 3 % of the time"
     table = {
         "title": f"The emulated servo hand: 0.6 rad/s, 0.5 N m, 50 ms, touch from 1 N, joint "
-        f"origins off by {given.joint_offset:g} rad (standard deviation), {given.trials} trials "
-        f"each; revolutions before a drop, median (10 to 90 %){slow * bool(first)}",
+        f"origins off by {given.joint_offset:g} rad (standard deviation) or as is said, "
+        f"{given.trials} trials each; revolutions before a drop, median (10 to 90 %){slow * bool(first)}",
         "header": ["", "Object", "seconds", "Revolutions", "Speed", "Thesis, real hand", "Held"],
         "rows": lines,
     }
@@ -198,7 +215,7 @@ def main() -> None:
     def key(who: str, turned: str, seed: int) -> tuple[Any, ...]:
         pose = pose_of(who, given)
         row = {"who": who, "object": turned, "object_pose": pose, "seconds": given.seconds}
-        return (*kind({**row, **tracker(pose, given)}), seed)
+        return (*kind({**row, **offset(given), **tracker(pose, given)}), seed)
 
     try:
         waiting = [
