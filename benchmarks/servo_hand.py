@@ -198,7 +198,8 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     table = {
         "title": f"The emulated servo hand: 0.6 rad/s, 0.5 N m, 50 ms, touch from 1 N, joint "
         f"origins off by {given.joint_offset:g} rad (standard deviation) or as is said, "
-        f"{given.trials} trials each; revolutions before a drop, median (10 to 90 %){slow * bool(first)}",
+        f"{given.trials} trials each; revolutions before a drop, median (10 to 90 %)"
+        f"{slow * bool(first)}",
         "header": ["", "Object", "seconds", "Revolutions", "Speed", "Thesis, real hand", "Held"],
         "rows": lines,
     }
