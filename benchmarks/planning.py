@@ -29,6 +29,7 @@ from common import (
     share,
     write,
 )
+from scipy.stats import mannwhitneyu
 
 from dexctl.exceptions import InvalidInput
 from dexctl.files import aside
@@ -49,7 +50,7 @@ from dexctl.planning import (
 )
 from dexctl.report.style import drawing, finger_colour, new_figure
 from dexctl.sim import Scene, SceneConfig, Simulation, run
-from dexctl.statistics import wilson
+from dexctl.statistics import bootstrap, wilson
 
 PARTS = (
     "kinematic", "large", "controllers", "random", "literal", "ablations", "sampling", "following",
@@ -226,16 +227,25 @@ def ablations(given: Options) -> list[dict[str, Any]]:
 
 
 def ablation_table(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """What K_max and alpha are worth, over the seeds."""
-    lines = []
+    """What K_max and alpha are worth, over the seeds, beside the usual ones."""
+    usual, lines = RandomActions(), []
+
+    def turned(actions: int, scale: float) -> list[float]:
+        return [r["rotation_rad"] for r in rows if (r["actions"], r["scale"]) == (actions, scale)]
+
     for actions, scale in sorted({(r["actions"], r["scale"]) for r in rows}):
         some = [r for r in rows if (r["actions"], r["scale"]) == (actions, scale)]
-        turned = [r["rotation_rad"] for r in some]
+        mine, theirs = turned(actions, scale), turned(usual.actions, usual.scale)
+        middle = bootstrap(mine, "median")
+        alike = (actions, scale) == (usual.actions, usual.scale) or not theirs
+        chance = 1.0 if alike else float(mannwhitneyu(mine, theirs).pvalue)
         lines.append(
             [
                 f"{actions}",
                 f"{scale:g}",
-                f"{np.median(turned):.1f} ({min(turned):.1f}-{max(turned):.1f})",
+                f"{middle.value:.1f} ({middle.low:.1f}-{middle.high:.1f})",
+                f"{min(mine):.1f}-{max(mine):.1f}",
+                "" if alike else f"{chance:.2g}",
                 f"{np.median([r['nodes'] for r in some]):.0f}",
                 f"{np.median([r['expansions'] for r in some]):.0f}",
             ]
@@ -245,7 +255,15 @@ def ablation_table(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "title": f"Random actions on the cylinder, palm up, {seconds:.0f} s of one processor, "
         f"{seeds} seeds: what candidates and their size are worth (thesis: K_max, alpha)",
-        "header": ["K_max", "alpha [rad]", "rotation [rad]: median (range)", "nodes", "expansions"],
+        "header": [
+            "K_max",
+            "alpha [rad]",
+            "rotation [rad]: median (95 % interval)",
+            "range",
+            f"p against {usual.actions} and {usual.scale:g} (Mann and Whitney)",
+            "nodes",
+            "expansions",
+        ],
         "rows": lines,
     }
 
