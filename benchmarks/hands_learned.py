@@ -57,6 +57,9 @@ class Condition:
 CONDITIONS = {
     "up": Condition("palm up"),
     "down": Condition("palm down", {"gravity": "down"}),
+    "any": Condition(
+        "any way up", {"gravity_tilt": 3.141592653589793, "gravity_straight_share": 0.0}
+    ),
     "late": Condition("palm up, 50 ms late", {"action_latency": 0.05}),
     "drawn": Condition(
         "palm up, all drawn",

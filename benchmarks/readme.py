@@ -52,6 +52,7 @@ HEADINGS = {
     "learning_ablation": "Parts of the recipe fast",
     "feedback": "What a policy has to feel",
     "feedback_x": "What a policy has to feel about x",
+    "seen_ablation": "Parts of the recipe behind dex5-seen",
     "commanded_speed": "Commanded speeds",
     "planning": "Planning",
     "starts": "Starts of episodes",
