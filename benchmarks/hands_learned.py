@@ -28,6 +28,7 @@ from common import (
 from dexctl import hands
 from dexctl.exceptions import HandModelError, InvalidInput
 from dexctl.settings import changed
+from dexctl.sim.conditions import CONDITIONS as NAMED
 from learning import policies
 from learning.evaluation import Subject, evaluate, open_subject
 
@@ -57,9 +58,7 @@ class Condition:
 CONDITIONS = {
     "up": Condition("palm up"),
     "down": Condition("palm down", {"gravity": "down"}),
-    "any": Condition(
-        "any way up", {"gravity_tilt": 3.141592653589793, "gravity_straight_share": 0.0}
-    ),
+    "any": Condition("any way up", {**NAMED["any-gravity"], "gravity_straight_share": 0.0}),
     "late": Condition("palm up, 50 ms late", {"action_latency": 0.05}),
     "drawn": Condition(
         "palm up, all drawn",

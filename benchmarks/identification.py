@@ -31,9 +31,10 @@ TOLD = {"chirp": ("friction", "armature", "damping", "stiffness", "latency")}
 UNITS = {"friction": "N m", "armature": "kg m^2", "damping": "N m s/rad", "latency": "s"}
 NEAR = {"latency": 0.015}
 """How far off it may be in the median joint: the latency, to which the bus adds, this [s], ..."""
-DRAWN = ("stiffness", "damping", "gear_friction", "armature", "latency")
 SHARE = 0.25
 """... of all else this share of it."""
+DRAWN = ("stiffness", "damping", "gear_friction", "armature", "latency")
+"""Settings whose ranges decide what is hidden."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -169,13 +169,18 @@ class Ablation:
         for name, variant in self.variants.items():
             each = [row for row in rows if row["variant"] == name]
             if each:
-                yield [
-                    variant.title,
-                    ", ".join(f"{row['rotation_rad']['median']:.1f}" for row in each),
-                    ", ".join(f"{100 * row['full_turn']['share']:.0f} %" for row in each),
-                    ", ".join(f"{100 * row['dropped']['share']:.0f} %" for row in each),
-                    ", ".join(f"{row['return_mean']:.0f}" for row in each),
-                ]
+                cells = zip(*map(self.cells, each), strict=True)
+                yield [variant.title, *map(", ".join, cells)]
+
+    @staticmethod
+    def cells(row: Mapping[str, Any]) -> list[str]:
+        """What a training came to, under the `columns`."""
+        return [
+            f"{row['rotation_rad']['median']:.1f}",
+            f"{100 * row['full_turn']['share']:.0f} %",
+            f"{100 * row['dropped']['share']:.0f} %",
+            f"{row['return_mean']:.0f}",
+        ]
 
     def save(self, trials: list[dict[str, Any]], given: Options, *, say: bool) -> None:
         """Write the result with the rows so far."""

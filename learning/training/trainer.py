@@ -193,7 +193,7 @@ class Trainer:
         self.starts.begin(self.folder.starts_path, self._remark)
 
     def run(self, saved: dict[str, Any] | None) -> dict[str, Any]:
-        """Train, from a checkpoint's content or from the beginning; see `resume`."""
+        """After `plan`, train, from a checkpoint's content or from the beginning; see `resume`."""
         resume_at = None
         if saved is None:
             self._prepare()
