@@ -67,23 +67,24 @@ def train(
     folder = RunFolder(path)
     folder.check_new()
     config = absolute(config, Path.cwd())
+    say = remark or (lambda text: None)
     # what is wrong with the configuration shows before a file is written
     trainer = Trainer(config, folder, report, remark)
     try:
         if trainer.env.simulation.starts is not None:  # those of a file
-            check_starts(trainer.env.simulation, remark or (lambda text: None))
+            check_starts(trainer.env.simulation, say)
         trainer.begin()
         with folder.lock():
             folder.create(trainer.config)
             folder.note_hand(trainer.env.hand)
+            say(f"the run is kept in {path}")
             trainer.take_starts()
             try:
                 trainer.plan()
             except DexctlError:  # the same command may be given again with other settings
                 folder.forget()
+                say(f"the run has not begun, and nothing is kept in {path}")
                 raise
-            if remark is not None:
-                remark(f"the run is kept in {path}")
             return trainer.run(None)
     finally:
         trainer.close()

@@ -161,7 +161,7 @@ def test_a_single_state_is_refused(tmp_path: Path, said: list[str]) -> None:
 
 
 def test_a_training_whose_starts_cannot_be_planned_leaves_no_run(
-    small: Make, tmp_path: Path
+    small: Make, tmp_path: Path, said: list[str]
 ) -> None:
     """So that the same command may be given again, with other settings."""
     pytest.importorskip("torch")
@@ -169,7 +169,9 @@ def test_a_training_whose_starts_cannot_be_planned_leaves_no_run(
 
     settings = {"object": ("dodecahedron",), "start_seconds": 20.0, "steps": 4, "num_envs": 4}
     with pytest.raises(InvalidInput, match="no grasp of the dodecahedron"):
-        train(small(start_from="paths", **settings), tmp_path / "run")
+        train(small(start_from="paths", **settings), tmp_path / "run", remark=said.append)
+    assert said[0] == f"the run is kept in {tmp_path / 'run'}"  # for a Ctrl-C on the way
+    assert said[-1] == f"the run has not begun, and nothing is kept in {tmp_path / 'run'}"
     train(small(start_from="fixed", **settings), tmp_path / "run")
 
 
