@@ -31,12 +31,11 @@ from dexctl import HandModel, controllers, hands
 from dexctl.exceptions import DexctlError, HandModelError
 from dexctl.sim import SceneConfig
 
-# what suits each hand: of the width and mass and at the place in its toml, which `dexctl hands add`
-# found, but where that is a sphere's and the gait holds another cube better
-HELD: dict[str, dict[str, dict[str, float]]] = {
-    "wonik_allegro": {"sphere": {}, "cylinder": {}, "cube": {}},
-    "leap_hand": {"sphere": {}, "cube": {"object_size": 0.06}},
-    "shadow_hand": {"sphere": {}, "cube": {}},
+# objects of the width and mass, and at the place, that each hand's toml says
+HELD: dict[str, tuple[str, ...]] = {
+    "wonik_allegro": ("sphere", "cylinder", "cube"),
+    "leap_hand": ("sphere", "cube"),
+    "shadow_hand": ("sphere", "cube"),
 }
 # title: controller and what differs from its defaults
 CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -158,9 +157,8 @@ def over_kind(rows: list[dict[str, Any]], kind: str, seconds: float) -> list[Fig
 
 def measure(hand: HandModel, name: str, palm: str, given: Options) -> list[dict[str, Any]]:
     """The rows of a hand with an object: one for each controller."""
-    options: dict[str, Any] = HELD.get(hand.name, {}).get(name, {})
     about = {"hand": hand.name, "object": name, "palm": palm}
-    config = SceneConfig(hand=hand.name, object=(name,), gravity=palm, **options)
+    config = SceneConfig(hand=hand.name, object=(name,), gravity=palm)
     try:
         (scene,) = config.scenes(hand)
         scene.settled  # noqa: B018 (the grasp is found here)

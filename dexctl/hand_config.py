@@ -151,6 +151,8 @@ class HeldObject:
     """Centre of the object, in the hand's frame (z: where the palm looks) [m]."""
     size: float | None = None
     """Width of the objects that suit the hand [m]."""
+    sizes: dict[str, float] = field(default_factory=dict)
+    """Width of those that suit it better at another one, by their names [m]."""
     shape: str | None = None
     """Name of the object that suits the hand best."""
     mass: float = 0.1
@@ -167,6 +169,8 @@ class HeldObject:
             raise HandModelError(f"object.centre is {self.centre!r}; expected three finite numbers")
         if self.size is not None and not (np.isfinite(self.size) and self.size > 0):
             raise HandModelError(f"object.size is {self.size!r}; expected a finite number above 0")
+        for name, width in _mapping("object.sizes", self.sizes).items():
+            _check(f"object.sizes.{name}", width, "a finite number above 0", 0.0, above=True)
         if not (np.isfinite(self.mass) and self.mass > 0):
             raise HandModelError(f"object.mass is {self.mass!r}; expected a finite number above 0")
         if self.reach is not None and not (np.isfinite(self.reach) and self.reach > 0):
@@ -349,6 +353,8 @@ class HandConfig:
         return kind if self.source is None else f"{kind} of {self.source.name}"
 
     def check_shape(self, known: Sequence[str]) -> None:
-        """Raise UnknownName where the object that suits the hand is none of those ``known``."""
+        """Raise UnknownName where an object that suits the hand is none of those ``known``."""
         if self.object.shape is not None:
             check_name(self._of_toml("object.shape"), self.object.shape, known)
+        for name in self.object.sizes:
+            check_name(self._of_toml("object.sizes"), name, known)

@@ -73,7 +73,12 @@ def test_what_is_written_is_read(two: Path, tmp_path: Path) -> None:
         servos=ServoConfig(stiffness=2.5, damping={"a_j1": 0.1}, effort=1e-5),
         postures=PostureConfig(open={"a_j1": 0.1 + 0.2}),
         object=HeldObject(
-            centre=(0.1, 0.0, 0.05), size=0.06, shape="sphere", mass=0.05, travel=0.6
+            centre=(0.1, 0.0, 0.05),
+            size=0.06,
+            sizes={"cube": 0.05},
+            shape="sphere",
+            mass=0.05,
+            travel=0.6,
         ),
         couplings={"a_j2": Coupling(joint="a_j1", scale=0.5)},
     )
@@ -168,6 +173,8 @@ def test_a_posture_by_names(two: Path) -> None:
         ("[fingertips]\nc = [0, 0, 0]", UnknownName, "unknown fingertip of mine.toml 'c'; known: "),
         ("[fingertips]\na_tip = [1e9, 0, 0]", HandModelError, "metres, at most 100"),
         ("[object]\nsize = -1", HandModelError, "object.size is -1"),
+        ("[object.sizes]\ncube = 0.0", HandModelError, "object.sizes.cube is 0.0"),
+        ("[object]\nsizes = 0.06", InvalidInput, "object.sizes is 0.06; expected a table by name"),
         ("[object]\nmass = 0", HandModelError, "object.mass is 0.0; expected a finite number"),
         ("[couplings.a_j2]\nscale = 2", HandModelError, "has the scale 2, but lacks joint"),
         ("[couplings.a_j9]\njoint = 'a_j1'", UnknownName,

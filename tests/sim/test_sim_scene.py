@@ -138,6 +138,17 @@ def test_an_object_of_a_toml_that_there_is_not(dex5: HandModel) -> None:
     held = replace(dex5.config.object, shape="cub")
     with pytest.raises(UnknownName, match="object.shape of dex5.toml 'cub'; known: cube"):
         Scene.build(replace(dex5.config, object=held).build(), "sphere")
+    held = replace(dex5.config.object, sizes={"cube": 0.08, "cub": 0.08})
+    with pytest.raises(UnknownName, match="object.sizes of dex5.toml 'cub'; known: cube"):
+        Scene.build(replace(dex5.config, object=held).build(), "sphere")
+
+
+def test_objects_are_as_wide_as_suits_the_hand_each(dex5: HandModel) -> None:
+    held = replace(dex5.config.object, size=0.1, sizes={"cube": 0.08})
+    hand = replace(dex5.config, object=held).build()
+    assert Scene.build(hand, "cube").object_width == 0.08
+    assert Scene.build(hand, "sphere").object_width == 0.1
+    assert Scene.build(hand, "cube", object_size=0.09).object_width == 0.09
 
 
 def test_what_cannot_be_held_says_so() -> None:
