@@ -19,9 +19,10 @@ def digest(config: HandConfig, description: Path) -> str:
     """SHA-256 over the settings, the description file, what it includes, and its meshes.
 
     Names, places of files and comments do not count, nor does the mass of objects, which runs and
-    policies name themselves.
+    policies name themselves, nor how wide single ones are, nor how far gaits let fingers go with
+    them: none of that is the hand that somebody was trained with.
     """
-    held = replace(config.object, mass=HeldObject.mass)
+    held = replace(config.object, mass=HeldObject.mass, sizes={}, travel=None)
     settings = replace(config, description=Path("description"), name="hand", about="", object=held)
     found = hashlib.sha256(to_toml(settings, {}).encode())
     for file in files_of(description):

@@ -93,6 +93,7 @@ def _about(controller: Controller, who_it_is: str, name: str, protocol: Protocol
         "dexctl": dexctl.__version__,
         "controller": who_it_is,
         "hand": controller.hand.digest,
+        "width": controller.hand.config.object.sizes.get(name),  # which the digest leaves out
         "control_period": controller.control_period,
         "protocol": to_plain(how),
         "files": {path: of_file(file) for path, file in files.items() if isinstance(file, Path)},

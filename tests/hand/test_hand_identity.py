@@ -58,11 +58,13 @@ def test_what_changes_the_digest(folder: Path, file: str, old: str, new: str) ->
     assert digest(folder) != before
 
 
-def test_names_places_and_comments_do_not(folder: Path, tmp_path: Path) -> None:
+def test_names_places_comments_and_objects_do_not(folder: Path, tmp_path: Path) -> None:
     before = digest(folder)
     path = folder / "mine.toml"
     path.write_text("# a comment\n" + path.read_text())
     path.rename(folder / "other.toml")
+    with (folder / "other.toml").open("a") as stream:
+        stream.write("\n[object]\ntravel = 0.6\nmass = 0.05\n[object.sizes]\ncube = 0.05\n")
     moved = folder.rename(folder.with_name("moved"))
     assert digest(moved, "other.toml") == before
 

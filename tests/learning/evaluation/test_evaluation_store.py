@@ -120,6 +120,19 @@ def test_every_setting_counts_but_threads(dex5: dexctl.HandModel, tmp_path: Path
     assert about(changed(Protocol(), {"initial_states": states})) not in seen
 
 
+def test_how_wide_the_object_is_by_the_hands_toml_counts(dex5: dexctl.HandModel) -> None:
+    held = replace(dex5.config.object, sizes={"cube": 0.08})
+    other = replace(dex5.config, object=held).build()
+    cube, sphere = (
+        [
+            stores._about(controllers.make("hold", hand), "hold", name, Protocol())
+            for hand in (dex5, other)
+        ]
+        for name in ("cube", "sphere")
+    )
+    assert cube[0] != cube[1] and sphere[0] == sphere[1]
+
+
 NAMES = (
     "igm", "switch", "gait", "coordinated", "hold",
     "dex5-robust", "dex5-robust@0.5", "dex5-nine", "dex5-cube-z", "dex5-cube-z-any",
