@@ -33,12 +33,13 @@ def _check(
     value: object,
     expected: str,
     low: float = -sys.float_info.max,
+    high: float = sys.float_info.max,
     *,
     above: bool = False,
 ) -> None:
-    """Raise HandModelError where ``value`` is no number from ``low`` on, or above it."""
+    """Raise HandModelError where ``value`` is no number from ``low``, or above it, to ``high``."""
     try:
-        number(name, value, low, sys.float_info.max, expected, above=above)
+        number(name, value, low, high, expected, above=above)
     except InvalidInput as error:
         raise HandModelError(str(error)) from None
 
@@ -167,10 +168,13 @@ class HeldObject:
     def __post_init__(self) -> None:
         if self.centre is not None and not np.isfinite(self.centre).all():
             raise HandModelError(f"object.centre is {self.centre!r}; expected three finite numbers")
-        if self.size is not None and not (np.isfinite(self.size) and self.size > 0):
-            raise HandModelError(f"object.size is {self.size!r}; expected a finite number above 0")
-        for name, width in _mapping("object.sizes", self.sizes).items():
-            _check(f"object.sizes.{name}", width, "a finite number above 0", 0.0, above=True)
+        sizes = _mapping("object.sizes", self.sizes).items()
+        widths = {f"object.sizes.{name}": width for name, width in sizes}
+        if self.size is not None:
+            widths["object.size"] = self.size
+        for name, width in widths.items():
+            expected = f"a finite number above 0, at most {FARTHEST:g} m"
+            _check(name, width, expected, 0.0, FARTHEST, above=True)
         if not (np.isfinite(self.mass) and self.mass > 0):
             raise HandModelError(f"object.mass is {self.mass!r}; expected a finite number above 0")
         if self.reach is not None and not (np.isfinite(self.reach) and self.reach > 0):
@@ -352,7 +356,7 @@ class HandConfig:
         """``kind`` of thing, with the toml that names it."""
         return kind if self.source is None else f"{kind} of {self.source.name}"
 
-    def check_shape(self, known: Sequence[str]) -> None:
+    def check_objects(self, known: Sequence[str]) -> None:
         """Raise UnknownName where an object that suits the hand is none of those ``known``."""
         if self.object.shape is not None:
             check_name(self._of_toml("object.shape"), self.object.shape, known)

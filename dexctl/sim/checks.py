@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dexctl.description.tree import FARTHEST
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.state import Bools, Floats
 from dexctl.validation import check_vector, number
@@ -33,6 +34,12 @@ def count(name: str, value: object) -> int:
 def positive(name: str, value: float) -> float:
     """A finite number above 0."""
     return number(name, value, 0.0, np.finfo(float).max, "a finite number above 0", above=True)
+
+
+def object_size(value: float) -> float:
+    """An object's width [m]."""
+    expected = f"a finite number above 0, at most {FARTHEST:g} m"
+    return number("object_size", value, 0.0, FARTHEST, expected, above=True)
 
 
 def vector(name: str, value: ArrayLike | None, length: int) -> Floats:

@@ -148,10 +148,10 @@ class Scene:
         model = hand if isinstance(hand, HandModel) else hands.load(hand)
         name, file = _object(object, mesh, object_mesh)
         held, postures, notes = model.config.object, model.config.postures, ()
-        model.config.check_shape(object_names())
+        model.config.check_objects(object_names())
         mass = checks.positive("object_mass", held.mass if object_mass is None else object_mass)
         if object_size is not None:
-            width = checks.positive("object_size", object_size)
+            width = checks.object_size(object_size)
         else:
             width = 0.0 if name == MESH else held.sizes.get(name, held.size)
         place = held.centre if grasp_centre is None else grasp_centre

@@ -135,7 +135,7 @@ def suggest(
     checks.count("tries", tries)
     seed = check_seed(seed, 0)
     if object_size is not None:
-        checks.positive("object_size", object_size)
+        checks.object_size(object_size)
     wanted = checks.vector("twist", twist, 6)
     if not wanted.any():
         raise InvalidInput("twist is all zero; expected the direction in which to move the object")

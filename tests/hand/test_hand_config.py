@@ -173,6 +173,7 @@ def test_a_posture_by_names(two: Path) -> None:
         ("[fingertips]\nc = [0, 0, 0]", UnknownName, "unknown fingertip of mine.toml 'c'; known: "),
         ("[fingertips]\na_tip = [1e9, 0, 0]", HandModelError, "metres, at most 100"),
         ("[object]\nsize = -1", HandModelError, "object.size is -1"),
+        ("[object]\nsize = 1e300", HandModelError, "size is 1e.300; .* above 0, at most 100"),
         ("[object.sizes]\ncube = 0.0", HandModelError, "object.sizes.cube is 0.0"),
         ("[object]\nsizes = 0.06", InvalidInput, "object.sizes is 0.06; expected a table by name"),
         ("[object]\nmass = 0", HandModelError, "object.mass is 0.0; expected a finite number"),

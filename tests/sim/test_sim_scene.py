@@ -130,6 +130,8 @@ def test_wrong_names_and_numbers() -> None:
         Scene.build("dex5", object_mass=0)
     with pytest.raises(InvalidInput, match="object_size is -1"):
         Scene.build("dex5", object_size=-1)
+    with pytest.raises(InvalidInput, match="object_size is 1e.300; .* above 0, at most 100"):
+        Scene.build("dex5", object_size=1e300)
     with pytest.raises(InvalidInput, match="friction is -1"):
         Scene.build("dex5", friction=-1)
 
