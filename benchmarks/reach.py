@@ -1,7 +1,9 @@
 """In-grasp manipulation at the end of its reach: 60 s, five objects, and motions there and back.
 
-Turns held to the end of the reach, with the slowing down and without it; then 20 mm along each axis
-and 0.3 rad about each, there and back again, tracked. The file is written after every row.
+Turns held to the end of the reach, with the slowing down and without it, and with links that may
+come to lie on the object; whether what was turned to its end comes back where the turn is
+asked for the other way; then 20 mm along each axis and 0.3 rad about each, there and back again,
+tracked. The file is written after every row.
 """
 
 from __future__ import annotations
@@ -22,17 +24,28 @@ from common import (
     percent_interval,
     progress,
     settings,
+    share,
     trials,
     write,
 )
 
 import dexctl
-from dexctl.igm import Share
+from dexctl.igm import InGraspManipulationChanges, Share
 from dexctl.rotations import inverse, multiply, rotation_vector
-from dexctl.sim import SceneConfig, Simulation
+from dexctl.sim import SceneConfig, Simulation, run
 
 OBJECTS = ("cube", "cylinder", "sphere", "icosahedron", "dodecahedron")
-KINDS = {"reach": "stops at the end of its reach", "regardless": "goes on regardless"}
+KINDS = {
+    "reach": "stops at the end of its reach",
+    "links": "stops there, links may lie on the object",
+    "regardless": "goes on regardless",
+}
+LIMITS: dict[str, InGraspManipulationChanges] = {
+    "reach": {},
+    "links": {"link_limit": 0.6, "slip_limit": 0.35},
+    "regardless": {"reach_distance": 0.0},
+}
+BACK = (20.0, 20.0)  # how long one way, and the other [s]
 GOAL = 0.99
 SPEEDS = {"linear": 0.01, "angular": 0.15}  # [m/s], [rad/s]
 WAYS = {"linear": 0.02, "angular": 0.3}  # [m], [rad]
@@ -50,16 +63,38 @@ class Options(Settings):
     """Objects to turn."""
 
 
+def other_way(kind: str) -> str:
+    """What rows of `returned` are called."""
+    return f"{kind}, back"
+
+
 def held(kind: str, name: str, palm: str, given: Options) -> dict[str, Any]:
     """A row: turned until the end of the reach, and held there."""
-    hand = dexctl.hands.load("dex5")
-    if kind == "reach":
-        controller = dexctl.InGraspManipulation(hand)
-    else:
-        controller = dexctl.InGraspManipulation(hand, reach_distance=0.0)
+    controller = dexctl.InGraspManipulation(dexctl.hands.load("dex5"), **LIMITS[kind])
     config = SceneConfig(object=(name,), gravity=palm)
     trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
     return {"kind": kind, "object": name, "palm": palm, **outcome(trace)}
+
+
+def returned(kind: str, name: str, palm: str, given: Options) -> dict[str, Any]:
+    """A row: turned to the end, then the other way; those held that are past their start again."""
+    hand = dexctl.hands.load("dex5")
+    traces = []
+    with Simulation(SceneConfig(object=(name,), gravity=palm), given.trials, given.seed) as sim:
+        sim.reset(given.seed)
+        for sign, seconds in zip((1.0, -1.0), BACK, strict=True):
+            controller = dexctl.InGraspManipulation(hand, axis=(0, 0, sign), **LIMITS[kind])
+            traces.append(run(controller, sim, seconds))
+    there, again = traces[0].rotation[-1], -traces[1].rotation[-1]
+    held = traces[0].held[-1] & traces[1].held[-1]
+    return {
+        "kind": other_way(kind),
+        "object": name,
+        "palm": palm,
+        "there_rad": over_seeds(there),
+        "back_rad": over_seeds(again),
+        "returned": share(held & (again >= there)),
+    }
 
 
 def tracked(name: str, palm: str, axis: int, given: Options) -> dict[str, Any]:
@@ -106,8 +141,12 @@ def tables_of(rows: list[dict[str, Any]], given: Options) -> list[dict[str, Any]
     """Turns and holds, one line a scene; then errors of the motions."""
     lines: dict[str, dict[str, str]] = {}
     motions: dict[str, list[str]] = {}
+    backs: dict[str, dict[str, str]] = {}
     for row in rows:
         where = f"{row['object']}, {row['palm']}"
+        if "returned" in row:
+            backs.setdefault(where, {})[row["kind"]] = percent_interval(row["returned"])
+            continue
         if row["kind"] == "tracked":
             unit, scale = ("mm", 1e3) if row["motion"] == "linear" else ("rad", 1.0)
             there, back = (scale * row[f"error_{k}"]["median"] for k in ("there", "back"))
@@ -122,6 +161,14 @@ def tables_of(rows: list[dict[str, Any]], given: Options) -> list[dict[str, Any]
             "median rotation at the end or the drop, share that holds (95 % interval)",
             "header": header,
             "rows": [[where, *(c.get(kind, "") for kind in KINDS)] for where, c in lines.items()],
+        },
+        {
+            "title": f"Turned for {BACK[0]:g} s, and {BACK[1]:g} s the other way, {given.trials} "
+            "trials each: held and past its start again (95 % interval)",
+            "header": header,
+            "rows": [
+                [where, *(c.get(other_way(k), "") for k in KINDS)] for where, c in backs.items()
+            ],
         },
         {
             "title": "Motions there and back, 20 mm and 0.3 rad: median error there, and back",
@@ -148,6 +195,17 @@ def figures_of(rows: list[dict[str, Any]]) -> list[Figure]:
                     share >= GOAL if goal else None,
                 )
             )
+    for kind, words in KINDS.items():
+        own = [row for row in rows if row["kind"] == other_way(kind)]
+        if own:
+            count, of = (sum(row["returned"][key] for row in own) for key in ("count", "of"))
+            found.append(
+                Figure(
+                    f"in-grasp manipulation that {words}: comes back past its start when the turn "
+                    f"is asked for the other way, {len(own)} scenes",
+                    percent({"count": count, "of": of, "share": count / of}),
+                )
+            )
     found += cost_of_stopping(rows)
     for kind, unit, scale in (("linear", "mm", 1e3), ("angular", "rad", 1.0)):
         own = [row for row in rows if row["kind"] == "tracked" and row["motion"] == kind]
@@ -169,14 +227,16 @@ def cost_of_stopping(rows: list[dict[str, Any]]) -> list[Figure]:
     """What stopping costs: the rotation beside that of going on up to the drop."""
     each: dict[tuple[str, str], dict[str, float]] = {}
     for row in rows:
-        if row["kind"] in KINDS:
+        if row["kind"] in ("reach", "regardless"):
             scene = each.setdefault((row["object"], row["palm"]), {})
             scene[row["kind"]] = row["rotation_rad"]["median"]
-    both = [scene for scene in each.values() if len(scene) == len(KINDS)]
+    both = [scene for scene in each.values() if len(scene) == 2]
     if not both:
         return []
     as_far = sum(scene["reach"] >= scene["regardless"] for scene in both)
-    ours, theirs = (float(np.median([scene[kind] for scene in both])) for kind in KINDS)
+    ours, theirs = (
+        float(np.median([scene[kind] for scene in both])) for kind in ("reach", "regardless")
+    )
     return [
         Figure(
             f"in-grasp manipulation that {KINDS['reach']}: turns as far as where it "
@@ -213,6 +273,10 @@ def main() -> None:
             row = held(kind, name, palm, given)
             turned = row["rotation_rad"]["median"]
             keep(row, f"{kind}, {name}, {palm}: {turned} rad, {percent(row['holding'])}")
+    for kind, name, palm in product(KINDS, given.objects, PALMS):
+        if not done(kind=other_way(kind), object=name, palm=palm):
+            row = returned(kind, name, palm, given)
+            keep(row, f"{other_way(kind)}, {name}, {palm}: {percent(row['returned'])}")
     write("reach", given, figures_of(rows), tables_of(rows, given), trials=rows)
 
 

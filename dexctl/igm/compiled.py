@@ -211,17 +211,20 @@ def _way(
     damping,
     reach_margin,
     link_limit,
+    q_target,
     column,
     rate,
 ):
-    """How far a finger of ``k`` joints can go along the wanted twist [m], as in `reach.Reach`."""
+    """As in `reach.Reach`, for a finger of ``k`` joints: how far it can go along the wanted twist
+    [m], what it pushes along its turn, and what it presses with, by the speed of that.
+    """
     x, y, z = lever[0] + origin[0], lever[1] + origin[1], lever[2] + origin[2]
     vx = twist[0] + twist[4] * lever[2] - twist[5] * lever[1]
     vy = twist[1] + twist[5] * lever[0] - twist[3] * lever[2]
     vz = twist[2] + twist[3] * lever[1] - twist[4] * lever[0]
     speed = np.sqrt(vx * vx + vy * vy + vz * vz)
     if speed <= 1e-9:
-        return np.inf
+        return np.inf, 0.0, 0.0
     xx = yy = zz = damping**2
     xy = xz = yz = 0.0
     for j in range(k):
@@ -243,11 +246,16 @@ def _way(
     size = sx * vx + sy * vy + sz * vz
     time = np.inf
     px = py = pz = 0.0  # velocity of the contact
+    ix = iy = iz = 0.0  # how far its set-point is ahead
     for j in range(k):
         rate[j] = column[j, 0] * sx + column[j, 1] * sy + column[j, 2] * sz
         px += rate[j] * column[j, 0]
         py += rate[j] * column[j, 1]
         pz += rate[j] * column[j, 2]
+        lead = q_target[joints[j]] - q[joints[j]]
+        ix += lead * column[j, 0]
+        iy += lead * column[j, 1]
+        iz += lead * column[j, 2]
         if rate[j] != 0.0:
             end = joint_limits[1 if rate[j] > 0 else 0, joints[j]]
             time = min(time, (end - q[joints[j]]) / rate[j])
@@ -288,7 +296,15 @@ def _way(
     rolling /= length
     if rolling > 0.0:
         way = min(way, speed * (link_limit - lean) / rolling)
-    return way
+    fx = (c00 * ix + c01 * iy + c02 * iz) * share
+    fy = (c01 * ix + c11 * iy + c12 * iz) * share
+    fz = (c02 * ix + c12 * iy + c22 * iz) * share
+    vx = twist[4] * lever[2] - twist[5] * lever[1]
+    vy = twist[5] * lever[0] - twist[3] * lever[2]
+    vz = twist[3] * lever[1] - twist[4] * lever[0]
+    pressed = max(fx * normal[0] + fy * normal[1] + fz * normal[2], 0.0)
+    pressed *= np.sqrt(vx * vx + vy * vy + vz * vz)
+    return way, fx * vx + fy * vy + fz * vz, pressed
 
 
 def _read(kind, dimensions):
@@ -302,7 +318,7 @@ _B1, _B2 = (_read(types.boolean, n) for n in (1, 2))
 # with its signature given it is compiled when imported, not in the middle of a control loop
 _HAND_AND_CONTACTS = (_F4, _F3, _I2, _I1, _F2, _F2, _B2, _B2, _F3, _F3, _F2)
 _OBJECT_AND_WANTED = (_F2, _F2, _F2, _F2, _B1, _F2, _F2, _F2)
-_SETTINGS = (_F1, types.UniTuple(types.float64, 17), _F2)
+_SETTINGS = (_F1, types.UniTuple(types.float64, 19), _F2)
 
 
 @_compiled((_F1, _F1, _F2, _F2, _F1, _B1, _F1, _F1))
@@ -366,7 +382,7 @@ def in_grasp_step(
     n = joints.shape[1]
     (grip, gain, rho, least, friction, length, damping, dt) = settings[:8]
     (height_gain, centring_gain, tilt_gain, closing_speed, closing_lead) = settings[8:13]
-    (max_lead, reach_distance, reach_margin, link_limit) = settings[13:]
+    (max_lead, reach_distance, reach_margin, link_limit, slip_limit, slip_way) = settings[13:]
     change = np.zeros(q.shape)
     desired = np.zeros((count, m))
     residual = np.zeros(count)
@@ -441,9 +457,10 @@ def in_grasp_step(
         for c in range(6):
             twist[c] = wanted[e, c]
         if reach_distance > 0:
+            pushed = bears = 0.0
             for i in range(m):
                 if touch[e, i] or closing[e, i]:
-                    way = _way(
+                    way, push_along, pressed = _way(
                         finger_twist[e, i],
                         counts[i],
                         joints[i],
@@ -457,10 +474,20 @@ def in_grasp_step(
                         damping,
                         reach_margin,
                         link_limit,
+                        q_target[e],
                         jacobian,
                         rate,
                     )
                     reach[e] = min(reach[e], max(way / reach_distance, 0.0))
+                    if touch[e, i]:
+                        pushed += push_along
+                        bears += pressed
+            if slip_limit > 0 and pushed > 0:
+                left = slip_limit * bears - pushed
+                if left <= 0.0:
+                    reach[e] = 0.0
+                else:
+                    reach[e] = min(reach[e], left / (slip_way * bears))
             for c in range(6):
                 twist[c] *= reach[e]
         if known[e]:

@@ -7,7 +7,7 @@ import numpy as np
 from dexctl.controller import check_sound, refuse
 from dexctl.hand import HandModel
 from dexctl.igm.compiled import in_grasp_step, sound
-from dexctl.igm.config import InGraspManipulationConfig
+from dexctl.igm.config import SLIP_SHARE, InGraspManipulationConfig
 from dexctl.igm.step import StepInput, StepResult
 from dexctl.state import Floats, GraspState
 
@@ -53,6 +53,8 @@ class CompiledStep:
             float(config.reach_distance),
             float(config.reach_margin),
             float(config.link_limit),
+            float(config.slip_limit),
+            float(SLIP_SHARE * config.slip_limit),
         )
 
     def check(self, state: GraspState) -> None:

@@ -19,6 +19,8 @@ from dexctl.validation import (
 )
 
 ENGINES = ("auto", "compiled", "plain")
+SLIP_SHARE = 0.3
+"""Last share of `slip_limit` over which the motion slows down."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,11 +68,16 @@ class InGraspManipulationConfig:
     """The wanted motion slows down over the last so much of the way that some finger has along it,
     and stops at its end: a joint's limit, a posture in which it cannot go on, a contact that has
     rolled to its link [m]. What turns round goes back at full speed. 0: it goes on regardless."""
-    reach_margin: float = 0.02
+    reach_margin: float = 0.01
     """It stops so far before joint limits and singular postures [m]."""
     link_limit: float = 0.2
     """And where the contact normal leans towards the fingertip's link by so much, as the cosine of
     the angle between the two: at 0 the link is parallel to the surface."""
+    slip_limit: float = 0.7
+    """And where turning takes up so much of friction, as a coefficient: what the fingers push along
+    the turn over what they press with, as their set-points are ahead of them. It slows down over
+    the last 30 % of that. It must stay below the real coefficient, and above what friction in the
+    gears and latency take up by themselves. 0: it does not count."""
     max_joint_speed: float = 2.0
     """Set-points move at most this fast [rad/s]."""
     max_lead: float = 0.25
@@ -95,6 +102,7 @@ class InGraspManipulationConfig:
                 "closing_speed",
                 "reach_distance",
                 "reach_margin",
+                "slip_limit",
             ),
             fractions=("min_force",),
         )
@@ -183,6 +191,7 @@ class InGraspManipulationChanges(TypedDict, total=False):
     reach_distance: float
     reach_margin: float
     link_limit: float
+    slip_limit: float
     max_joint_speed: float
     max_lead: float
     engine: str

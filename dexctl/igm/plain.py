@@ -80,7 +80,7 @@ class PlainStep:
         if config.reach_distance:
             held_or_closing = step.touch | step.closing
             seen = (step.twist, point, normal, lever, held_or_closing)
-            reach = self._reach(step.hand_now, step.q, *seen)
+            reach = self._reach(step.hand_now, step.q, step.q_target, *seen)
         twist = reach[:, None] * step.twist + self._regulation(step, origin)
         rigid = twist[:, None, :3] + cross(twist[:, None, 3:], lever)  # G^T t
         velocity += np.where(touching, rigid, 0.0)

@@ -1,7 +1,8 @@
 """Reach: how far fingers can still go with the object, each along the velocity wanted of it.
 
-All three ends are distances along that velocity, to first order, so they look ahead only where the
-finger is going: a finger at an end is free to come back.
+Three ends are distances along that velocity, to first order, so they look ahead only where the
+finger is going: a finger at an end is free to come back. So it is at the fourth, the friction cone:
+what counts is the push along the turn, whose sign turns with it.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import numpy as np
 
 from dexctl.configuration import HandConfiguration
 from dexctl.hand import HandModel
-from dexctl.igm.config import InGraspManipulationConfig
+from dexctl.igm.config import SLIP_SHARE, InGraspManipulationConfig
 from dexctl.igm.inverse import solve_symmetric3
 from dexctl.rotations import cross
 from dexctl.state import Bools, Floats
@@ -22,7 +23,11 @@ class Reach:
     A finger ends where a joint is at its limit; where its Jacobian grows singular along the wanted
     velocity v (with A = J J^T + damping^2 I and g = v^T A^-1 v, which is infinite there but for the
     damping, Newton's step to the zero of 1 / g takes the time g / g'); and where the contact has
-    rolled from the fingertip to its link.
+    rolled from the fingertip to its link. A turn ends where the object does not follow: set-points
+    run ahead of joints, and what they push along it nears what friction bears. With joints of one
+    stiffness k the force of a finger is f = k A^-1 J (q_target - q); the sum of f v over that of
+    (f n) |v| says how much of the friction cone is taken up, whatever k is. v is that of the turn
+    only: along a line, the weight of object and fingers would count.
 
     Args:
         hand: the hand.
@@ -43,6 +48,7 @@ class Reach:
         self,
         now: HandConfiguration,
         q: Floats,
+        q_target: Floats,
         twist: Floats,
         point: Floats,
         normal: Floats,
@@ -53,7 +59,7 @@ class Reach:
 
         Args:
             now: the hand at ``q`` ``(N, d)``.
-            q: joints [rad].
+            q, q_target: joints and their set-points [rad].
             twist: wanted of the object, ``(N, 6)``.
             point: contacts, or fingertips out of touch, ``(N, m, 3)``; ``lever`` from the centre.
             normal: unit, zero out of touch, ``(N, m, 3)``.
@@ -99,4 +105,18 @@ class Reach:
             margin = speed * np.minimum(to_limit, to_singular) - config.reach_margin
             way = np.minimum(margin, np.where(np.isinf(to_link), np.inf, speed * to_link))
         way = np.where(fingers & (speed > 1e-9), way, np.inf).min(axis=-1)
-        return np.clip(way / config.reach_distance, 0.0, 1.0)
+        share = np.clip(way / config.reach_distance, 0.0, 1.0)
+        if not config.slip_limit:
+            return share
+        turn = cross(twist[:, None, 3:], lever)
+        lead = (q_target - q)[:, self._joints]
+        force = solve_symmetric3(gram, (lead[..., None, :] @ jacobian)[..., 0, :])
+        pressed = np.maximum((force * normal).sum(axis=-1), 0.0)
+        pressed = pressed * np.sqrt((turn * turn).sum(axis=-1))
+        holding = fingers & (normal * normal).any(axis=-1)
+        bears = np.where(holding, pressed, 0.0).sum(axis=-1)
+        pushed = np.where(holding, (force * turn).sum(axis=-1), 0.0).sum(axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            taken = np.where(pushed > 0.0, pushed / bears, 0.0)
+        left = (1.0 - taken / config.slip_limit) / SLIP_SHARE
+        return np.minimum(share, np.clip(left, 0.0, 1.0))

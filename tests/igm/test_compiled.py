@@ -61,6 +61,7 @@ def _share(rng: np.random.Generator, shape: tuple[int, int]) -> Share:
     closing=st.sampled_from([0.0, 0.03]),
     reach_distance=st.sampled_from([0.0, 0.01, 0.3]),
     link_limit=st.sampled_from([0.1, 1.0]),
+    slip_limit=st.sampled_from([0.0, 0.35, 3.0]),
 )
 def test_compiled_and_plain_agree(
     dex5: dexctl.HandModel,
@@ -72,6 +73,7 @@ def test_compiled_and_plain_agree(
     closing: float,
     reach_distance: float,
     link_limit: float,
+    slip_limit: float,
 ) -> None:
     rng = np.random.default_rng(seed)
     config = InGraspManipulationConfig(
@@ -80,6 +82,7 @@ def test_compiled_and_plain_agree(
         closing_speed=closing,
         reach_distance=reach_distance,
         link_limit=link_limit,
+        slip_limit=slip_limit,
         twist=(0.01, 0, 0, 0.1, 0, 0.3),
     )
     compiled = InGraspManipulation(dex5, config, engine="compiled")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,28 @@ FAR = {"reach_margin": 0.0, "link_limit": 1.0, "damping": 1e-6}
 
 
 def reach(
-    hand: HandModel, q: np.ndarray, velocity: Any, normal: Any = (0, 0, 0), **settings: Any
+    hand: HandModel,
+    q: np.ndarray,
+    velocity: Any,
+    normal: Any = (0, 0, 0),
+    *,
+    turn: Any = (0, 0, 0),
+    lever: Any = (0, 0, 0),
+    lead: Any = 0.0,
+    **settings: Any,
 ) -> float:
-    """Reach of a hand whose first finger is to move at ``velocity``; the others do not count."""
+    """Reach of a hand whose first finger is to move at ``velocity``, or with a turn; the others do
+    not count."""
     config = InGraspManipulationConfig(**{**FAR, "reach_distance": 1.0, **settings})
     now = hand.configuration(q[None])
     tip = now.fingertip_position
     fingers = np.arange(hand.n_fingers)[None] == 0
     facing = np.zeros_like(tip)
     facing[0, 0] = normal
-    twist = np.array([[*velocity, 0.0, 0.0, 0.0]])
-    found = Reach(hand, config)(now, q[None], twist, tip, facing, np.zeros_like(tip), fingers)
+    twist = np.array([[*velocity, *turn]], float)
+    levers = np.zeros_like(tip) + lever
+    ahead = q + np.asarray(lead)
+    found = Reach(hand, config)(now, q[None], ahead[None], twist, tip, facing, levers, fingers)
     return float(found[0])
 
 
@@ -110,6 +122,47 @@ def test_a_contact_ends_where_it_has_rolled_to_the_link(arm: HandModel) -> None:
         assert reach(arm, q, (sign * 0.02, 0, 0), -back, reach_distance=1e-3) == 1.0
 
 
+def test_it_ends_where_friction_does(arm: HandModel) -> None:
+    """A finger that pushes along y with half of what it presses with along x."""
+    q = np.array([0.0, 0.7, -1.4])  # the tip is straight above the first joint
+    across = 0.05 * np.cos(0.7) * np.array([2.0, 1.0])  # of the tip along x, by joints a and b
+
+    def left(speed: float, limit: float, y: float = 1e-3, x: float = 2e-3) -> float:
+        lead, turn = np.array([y, *(x * across)]), (0, 0, -speed)  # J^T f; about z, at x = -1
+        settings = {"reach_distance": 1e-3, "slip_limit": limit}
+        at = {"lever": (-1, 0, 0), "lead": lead}
+        assert reach(arm, q, (0, speed, 0), (1, 0, 0), **at, **settings) == 1.0  # along a line
+        return reach(arm, q, (0, 0, 0), (1, 0, 0), turn=turn, **at, **settings)
+
+    for speed in (0.02, 0.3):
+        for hard in (1.0, 5.0):
+            found = left(speed, 0.6, 1e-3 * hard, 2e-3 * hard)
+            assert found == pytest.approx((1.0 - 0.5 / 0.6) / 0.3, rel=1e-6)
+    assert left(0.02, 0.49) == 0.0
+    assert left(-0.02, 0.49) == 1.0  # it goes back
+    assert left(0.02, 0.0) == 1.0  # does not count
+    assert left(0.02, 0.75) == 1.0  # not near it
+    assert left(0.02, 5.0, x=0.0) == left(0.02, 5.0, x=-2e-3) == 0.0  # nothing presses
+    assert left(0.0, 0.1) == 1.0
+
+
+def test_the_object_that_something_stops(dex5: HandModel) -> None:
+    """It is not turned on where it does not follow: friction is what gives way at last."""
+    sim = BatchSimulator(Scene.build(dex5, "sphere", "up"), 1, seed=0)
+    state, found = sim.read(), {}
+    for limit in (0.0, 0.35):
+        sim.reset(0)
+        controller = InGraspManipulation(dex5, slip_limit=limit, engine="plain")
+        state = sim.read()
+        where = np.asarray(state.q).copy()
+        target = np.asarray(state.q_target).copy()
+        for _ in range(40):  # joints that stand still while set-points go on
+            target = target + controller.act(replace(state, q=where, q_target=target))
+        found[limit] = controller.diagnostics["reach"][0], np.abs(target - where).mean()
+    assert found[0.0][0] == 1.0 and found[0.35][0] < 0.2
+    assert found[0.35][1] < 0.85 * found[0.0][1]
+
+
 def test_the_thesis_goes_on_regardless(dex5: HandModel, grasp_of: Callable[..., Any]) -> None:
     stretched = grasp_of(dex5, np.tile([-0.69, 0.1, 0.0], 5))
     for kind in (InGraspManipulationConfig.thesis(), InGraspManipulationConfig(reach_distance=0.0)):
@@ -135,7 +188,7 @@ def test_one_hand_and_a_batch(dex5: HandModel, grasp_of: Callable[..., Any]) -> 
         assert single.diagnostics["reach"] == pytest.approx(batch[i])
 
 
-@pytest.mark.parametrize("name", ["reach_distance", "reach_margin", "link_limit"])
+@pytest.mark.parametrize("name", ["reach_distance", "reach_margin", "link_limit", "slip_limit"])
 def test_bad_settings(name: str) -> None:
     with pytest.raises(InvalidInput, match=f"{name} is -2"):
         InGraspManipulationConfig(**{name: -2.0})  # type: ignore[arg-type]
