@@ -42,7 +42,7 @@ KINDS = {
 }
 LIMITS: dict[str, InGraspManipulationChanges] = {
     "reach": {},
-    "links": {"link_limit": 0.6, "slip_limit": 0.35},
+    "links": {"link_limit": 0.6, "reach_margin": 0.02, "slip_limit": 0.35},
     "regardless": {"reach_distance": 0.0},
 }
 BACK = (20.0, 20.0)  # how long one way, and the other [s]
