@@ -35,15 +35,14 @@ from dexctl.rotations import inverse, multiply, rotation_vector
 from dexctl.sim import SceneConfig, Simulation, run
 
 OBJECTS = ("cube", "cylinder", "sphere", "icosahedron", "dodecahedron")
-KINDS = {
-    "reach": "stops at the end of its reach",
-    "links": "stops there, links may lie on the object",
-    "regardless": "goes on regardless",
-}
-LIMITS: dict[str, InGraspManipulationChanges] = {
-    "reach": {},
-    "links": {"link_limit": 0.6, "reach_margin": 0.02, "slip_limit": 0.35},
-    "regardless": {"reach_distance": 0.0},
+# of an end: what people read, and what differs from the controller's defaults
+KINDS: dict[str, tuple[str, InGraspManipulationChanges]] = {
+    (OURS := "reach"): ("stops at the end of its reach", {}),
+    "links": (
+        "stops there, links may lie on the object",
+        {"link_limit": 0.6, "reach_margin": 0.02, "slip_limit": 0.35},
+    ),
+    (NONE := "regardless"): ("goes on regardless", {"reach_distance": 0.0}),
 }
 BACK = (20.0, 20.0)  # how long one way, and the other [s]
 GOAL = 0.99
@@ -70,7 +69,7 @@ def other_way(kind: str) -> str:
 
 def held(kind: str, name: str, palm: str, given: Options) -> dict[str, Any]:
     """A row: turned until the end of the reach, and held there."""
-    controller = dexctl.InGraspManipulation(dexctl.hands.load("dex5"), **LIMITS[kind])
+    controller = dexctl.InGraspManipulation(dexctl.hands.load("dex5"), **KINDS[kind][1])
     config = SceneConfig(object=(name,), gravity=palm)
     trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
     return {"kind": kind, "object": name, "palm": palm, **outcome(trace)}
@@ -83,7 +82,7 @@ def returned(kind: str, name: str, palm: str, given: Options) -> dict[str, Any]:
     with Simulation(SceneConfig(object=(name,), gravity=palm), given.trials, given.seed) as sim:
         sim.reset(given.seed)
         for sign, seconds in zip((1.0, -1.0), BACK, strict=True):
-            controller = dexctl.InGraspManipulation(hand, axis=(0, 0, sign), **LIMITS[kind])
+            controller = dexctl.InGraspManipulation(hand, axis=(0, 0, sign), **KINDS[kind][1])
             traces.append(run(controller, sim, seconds))
     there, again = traces[0].rotation[-1], -traces[1].rotation[-1]
     held = traces[0].held[-1] & traces[1].held[-1]
@@ -154,7 +153,7 @@ def tables_of(rows: list[dict[str, Any]], given: Options) -> list[dict[str, Any]
             continue
         cell = f"{row['rotation_rad']['median']:.2f} rad, {percent_interval(row['holding'])}"
         lines.setdefault(where, {})[row["kind"]] = cell
-    header = ["Object, palm", *KINDS.values()]
+    header = ["Object, palm", *(words for words, _ in KINDS.values())]
     return [
         {
             "title": f"In-grasp manipulation, {given.seconds:g} s, {given.trials} trials each: "
@@ -181,29 +180,27 @@ def tables_of(rows: list[dict[str, Any]], given: Options) -> list[dict[str, Any]
 def figures_of(rows: list[dict[str, Any]]) -> list[Figure]:
     """How many hold, and how exactly motions are tracked."""
     found = []
-    for kind, words in KINDS.items():
-        own = [row for row in rows if row["kind"] == kind]
+    for kind, (words, _) in KINDS.items():
+        own = [row["holding"] for row in rows if row["kind"] == kind]
         if own:
-            count, of = (sum(row["holding"][key] for row in own) for key in ("count", "of"))
-            share = count / of
-            goal = f"{100 * GOAL:.0f} % of trials" if kind == "reach" else ""
+            all_held = together(own)
+            goal = f"{100 * GOAL:.0f} % of trials" if kind == OURS else ""
             found.append(
                 Figure(
                     f"in-grasp manipulation that {words}: holds for 60 s, {len(own)} scenes",
-                    percent({"count": count, "of": of, "share": share}),
+                    percent(all_held),
                     goal,
-                    share >= GOAL if goal else None,
+                    all_held["share"] >= GOAL if goal else None,
                 )
             )
-    for kind, words in KINDS.items():
-        own = [row for row in rows if row["kind"] == other_way(kind)]
+    for kind, (words, _) in KINDS.items():
+        own = [row["returned"] for row in rows if row["kind"] == other_way(kind)]
         if own:
-            count, of = (sum(row["returned"][key] for row in own) for key in ("count", "of"))
             found.append(
                 Figure(
                     f"in-grasp manipulation that {words}: comes back past its start when the turn "
                     f"is asked for the other way, {len(own)} scenes",
-                    percent({"count": count, "of": of, "share": count / of}),
+                    percent(together(own)),
                 )
             )
     found += cost_of_stopping(rows)
@@ -223,23 +220,27 @@ def figures_of(rows: list[dict[str, Any]]) -> list[Figure]:
     return found
 
 
+def together(shares: list[dict[str, Any]]) -> dict[str, Any]:
+    """The share of all scenes."""
+    count, of = (sum(each[key] for each in shares) for key in ("count", "of"))
+    return {"count": count, "of": of, "share": count / of}
+
+
 def cost_of_stopping(rows: list[dict[str, Any]]) -> list[Figure]:
     """What stopping costs: the rotation beside that of going on up to the drop."""
     each: dict[tuple[str, str], dict[str, float]] = {}
     for row in rows:
-        if row["kind"] in ("reach", "regardless"):
+        if row["kind"] in (OURS, NONE):
             scene = each.setdefault((row["object"], row["palm"]), {})
             scene[row["kind"]] = row["rotation_rad"]["median"]
     both = [scene for scene in each.values() if len(scene) == 2]
     if not both:
         return []
-    as_far = sum(scene["reach"] >= scene["regardless"] for scene in both)
-    ours, theirs = (
-        float(np.median([scene[kind] for scene in both])) for kind in ("reach", "regardless")
-    )
+    as_far = sum(scene[OURS] >= scene[NONE] for scene in both)
+    ours, theirs = (float(np.median([scene[kind] for scene in both])) for kind in (OURS, NONE))
     return [
         Figure(
-            f"in-grasp manipulation that {KINDS['reach']}: turns as far as where it "
+            f"in-grasp manipulation that {KINDS[OURS][0]}: turns as far as where it "
             "goes on regardless, before the drop",
             f"{as_far} of {len(both)} scenes; median {ours:.1f} and {theirs:.1f} rad",
             "all of them",

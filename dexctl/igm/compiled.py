@@ -460,7 +460,7 @@ def in_grasp_step(
             pushed = bears = 0.0
             for i in range(m):
                 if touch[e, i] or closing[e, i]:
-                    way, push_along, pressed = _way(
+                    way, along, pressed = _way(
                         finger_twist[e, i],
                         counts[i],
                         joints[i],
@@ -480,7 +480,7 @@ def in_grasp_step(
                     )
                     reach[e] = min(reach[e], max(way / reach_distance, 0.0))
                     if touch[e, i]:
-                        pushed += push_along
+                        pushed += along
                         bears += pressed
             if slip_limit > 0 and pushed > 0:
                 left = slip_limit * bears - pushed

@@ -76,8 +76,8 @@ class InGraspManipulationConfig:
     slip_limit: float = 0.7
     """And where turning takes up so much of friction, as a coefficient: what the fingers push along
     the turn over what they press with, as their set-points are ahead of them. It slows down over
-    the last 30 % of that. It must stay below the real coefficient, and above what friction in the
-    gears and latency take up by themselves. 0: it does not count."""
+    the last `SLIP_SHARE` of that. It must stay below the real coefficient, and above what friction
+    in the gears and latency take up by themselves. 0: it does not count."""
     max_joint_speed: float = 2.0
     """Set-points move at most this fast [rad/s]."""
     max_lead: float = 0.25

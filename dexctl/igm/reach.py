@@ -108,15 +108,18 @@ class Reach:
         share = np.clip(way / config.reach_distance, 0.0, 1.0)
         if not config.slip_limit:
             return share
-        turn = cross(twist[:, None, 3:], lever)
         lead = (q_target - q)[:, self._joints]
         force = solve_symmetric3(gram, (lead[..., None, :] @ jacobian)[..., 0, :])
-        pressed = np.maximum((force * normal).sum(axis=-1), 0.0)
-        pressed = pressed * np.sqrt((turn * turn).sum(axis=-1))
-        holding = fingers & (normal * normal).any(axis=-1)
-        bears = np.where(holding, pressed, 0.0).sum(axis=-1)
-        pushed = np.where(holding, (force * turn).sum(axis=-1), 0.0).sum(axis=-1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            taken = np.where(pushed > 0.0, pushed / bears, 0.0)
+        taken = _friction_taken(force, normal, cross(twist[:, None, 3:], lever), fingers)
         left = (1.0 - taken / config.slip_limit) / SLIP_SHARE
         return np.minimum(share, np.clip(left, 0.0, 1.0))
+
+
+def _friction_taken(force: Floats, normal: Floats, turn: Floats, fingers: Bools) -> Floats:
+    """What ``fingers`` push along the velocities ``turn`` over what they press with, ``(N,)``."""
+    holding = fingers & normal.any(axis=-1)
+    along = np.where(holding, (force * turn).sum(axis=-1), 0.0).sum(axis=-1)
+    pressed = np.where(holding, np.maximum((force * normal).sum(axis=-1), 0.0), 0.0)
+    bears = (pressed * np.sqrt((turn * turn).sum(axis=-1))).sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(along > 0.0, along / bears, 0.0)
