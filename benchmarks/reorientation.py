@@ -23,7 +23,7 @@ from common import (
     write,
 )
 
-from dexctl.gait import CommandedTurning, GoalSequence
+from dexctl.gait import CommandedTurning, GoalPursuit, GoalSequence
 from dexctl.planning import sample_grasps
 from dexctl.settings import Names, changed
 from dexctl.sim import GraspStates, Scene
@@ -58,6 +58,8 @@ class Options(Settings):
         "commanded:dex5-cube-z,dex5-cube-x,dex5-cube-y",
         "commanded:dex5-easy-any,dex5-sphere-x",
         "dex5-axes",
+        "pursuing:dex5-cube-goals",
+        "pursuing:dex5-cube-goals-touch",
     )
     """Controllers, policies, policy files or run folders."""
     parts: tuple[str, ...] = PARTS
@@ -183,6 +185,8 @@ def wanted(subject: Subject, given: Options) -> list[Asked]:
         cards = [one.card for one in subject.controller.turners if isinstance(one, Policy)]
         known = [card["trained"]["env"]["scene"]["object"] for card in cards]
         return [one for one in axes if all(one.object in objects for objects in known)]
+    if isinstance(subject.controller, GoalPursuit):  # to goals it leaves the way to another
+        return axes
     if subject.trained is None:
         return goals + axes
     parts = subject.trained.env.parts

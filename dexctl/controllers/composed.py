@@ -8,6 +8,7 @@ import numpy as np
 
 from dexctl.controller import Controller
 from dexctl.controllers.making import resolve
+from dexctl.controllers.table import ignores
 from dexctl.controllers.words import several
 from dexctl.exceptions import InvalidInput
 from dexctl.hand import HandModel
@@ -36,6 +37,38 @@ def steered(
 
     found = resolve(turner, hand, control_period=control_period, axis=axis)
     return GoalSteering(hand, turner=found, control_period=found.control_period, **changes)
+
+
+def pursuing(
+    hand: HandModel,
+    *,
+    reacher: str,
+    control_period: float | None = None,
+    axis: tuple[float, float, float] | None = None,
+    **changes: Any,
+) -> Controller:
+    """The controller of the name "pursuing": a `dexctl.gait.GoalPursuit` of another one.
+
+    Args:
+        hand: the hand.
+        reacher: who brings the object to a goal, as `resolve` takes it.
+        control_period: of that one.
+        axis: turned about where a state tells none.
+        **changes: settings of `GoalPursuitConfig`.
+
+    Raises:
+        UnknownName, InvalidInput: no such controller, one that goes to no goals, or a setting is
+            wrong.
+    """
+    from dexctl.gait import GoalPursuit
+
+    if ignores(reacher, "goal_quaternion"):
+        raise InvalidInput(
+            f"got {reacher!r}, which goes to no goals; expected a controller that does, "
+            "pursuing:NAME, such as pursuing:dex5-cube-goals"
+        )
+    found = resolve(reacher, hand, control_period=control_period)
+    return GoalPursuit(hand, reacher=found, axis=axis, **changes)
 
 
 def regulated(

@@ -114,6 +114,17 @@ _CONTROLLERS = {
             follows=("goal_quaternion",),
         ),
         ControllerEntry(
+            name="pursuing",
+            title="pursuit of goals",
+            description="turns about any axis told, by pursuing:NAME going after goals ahead of it",
+            module="dexctl.controllers",
+            attribute="pursuing",
+            keyword="reacher",
+            wanted="NAME",
+            others=True,
+            follows=("goal_quaternion", "goal_angular_velocity"),
+        ),
+        ControllerEntry(
             name="regulated",
             title="regulated turning",
             description="has another controller, regulated:NAME, turn the object in its place",
@@ -220,6 +231,17 @@ def is_named(name: str) -> bool:
     """Whether it is one of `names`, with what stands after it where that controller takes it."""
     found = known_entries().get(split(name)[0])
     return found is not None and (found.name == name or bool(found.keyword))
+
+
+def ignores(name: str, wish: str) -> bool:
+    """Whether it is known of who is named that a state's ``wish`` changes nothing.
+
+    Args:
+        name: as `dexctl.controllers.resolve` takes it.
+        wish: "goal_quaternion" or "goal_angular_velocity".
+    """
+    follows = entry(name).follows if is_named(name) else None
+    return follows is not None and wish not in follows
 
 
 def split(name: str) -> tuple[str, str]:

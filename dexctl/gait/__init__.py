@@ -4,6 +4,7 @@ from dexctl.gait.commanded import CommandedTurning
 from dexctl.gait.coordinated import CoordinatedGait, CoordinatedGaitChanges, CoordinatedGaitConfig
 from dexctl.gait.goal import GoalGait, GoalGaitChanges, GoalGaitConfig
 from dexctl.gait.macro import Macro, MacroConfig
+from dexctl.gait.pursuit import GoalPursuit, GoalPursuitChanges, GoalPursuitConfig
 from dexctl.gait.regulated import (
     RegulatedTurning,
     RegulatedTurningChanges,
@@ -25,6 +26,9 @@ __all__ = [
     "GoalGait",
     "GoalGaitChanges",
     "GoalGaitConfig",
+    "GoalPursuit",
+    "GoalPursuitChanges",
+    "GoalPursuitConfig",
     "GoalSequence",
     "GoalSequenceChanges",
     "GoalSequenceConfig",

@@ -303,7 +303,7 @@ def check_goal(name: str, goal: Quaternion, pose: str) -> None:
         raise InvalidInput(
             f"--goal is {goal} and --object-pose {pose}; expected touch or tracked with it"
         )
-    if ignores(name, "goal_quaternion"):
+    if controllers.ignores(name, "goal_quaternion"):
         raise goes_to_none(name, goal)
 
 
@@ -320,14 +320,8 @@ def check_spin(name: str, spin: Spin, goal: Quaternion | None) -> None:
     check_vector("spin", spin, 3, "three finite numbers [rad/s]")
     if goal is not None:
         raise InvalidInput(f"--spin is {spin} and --goal {goal}; expected one of them")
-    if ignores(name, "goal_angular_velocity"):
+    if controllers.ignores(name, "goal_angular_velocity"):
         raise turns_as_made(name, spin)
-
-
-def ignores(name: str, wish: str) -> bool:
-    """Whether it is known of who is named that a state's ``wish`` changes nothing."""
-    follows = controllers.entry(name).follows if controllers.is_named(name) else None
-    return follows is not None and wish not in follows
 
 
 def turns_as_made(name: str, spin: Spin) -> InvalidInput:

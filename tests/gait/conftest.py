@@ -15,6 +15,7 @@ from dexctl.gait import (
     CommandedTurning,
     CoordinatedGait,
     GoalGait,
+    GoalPursuit,
     GoalSequence,
     GoalSteering,
     RegulatedTurning,
@@ -49,6 +50,7 @@ CONTROLLERS: dict[str, Callable[..., Controller]] = {
     ),
     "gait, goal": GoalGait,
     "gait, steered": GoalSteering,
+    "gait, pursuit": lambda hand, **settings: GoalPursuit(hand, reacher=GoalGait(hand, **settings)),
     "gait, sequence": GoalSequence,
     "gait, commanded": lambda hand, **settings: CommandedTurning(
         hand, [CoordinatedGait(hand, least_travel=0.0, **settings)], axis=(0.0, 0.0, -1.0)

@@ -41,7 +41,7 @@ def all_makers(makers) -> dict[str, Callable[[HandModel], Controller]]:
 
 NAMES = (
     "in-grasp", "in-grasp, thesis", "switch, profile", "switch, guarded", "gait, random",
-    "gait, coordinated", "gait, goal", "gait, steered", "gait, sequence",
+    "gait, coordinated", "gait, goal", "gait, steered", "gait, pursuit", "gait, sequence",
     "gait, commanded", "gait, regulated", "gait, tracked by touch", "gait, planned",
     "tree followed", "hold", "superposed",
 )  # fmt: skip

@@ -12,7 +12,7 @@ import pytest
 
 import dexctl
 from dexctl.exceptions import InvalidInput
-from dexctl.gait import CommandedTurning, GoalGait, GoalSequence, GoalSteering
+from dexctl.gait import CommandedTurning, GoalGait, GoalPursuit, GoalSequence, GoalSteering
 from dexctl.igm import InGraspManipulationConfig
 
 THESIS = InGraspManipulationConfig.thesis()
@@ -126,6 +126,7 @@ TOLD: dict[str, Callable[[dexctl.HandModel], dexctl.Controller]] = {
     "coordinated": lambda hand: dexctl.CoordinatedGait(hand),
     "goal": lambda hand: GoalGait(hand),
     "steered": lambda hand: GoalSteering(hand),
+    "pursuing": lambda hand: GoalPursuit(hand, reacher=GoalGait(hand)),
     "commanded": lambda hand: CommandedTurning(hand, [dexctl.CoordinatedGait(hand)]),
     "sequence": lambda hand: GoalSequence(hand),
 }

@@ -47,6 +47,9 @@ def test_the_rate_is_the_controllers(dex5: dexctl.HandModel) -> None:
         ("commanded:dex5-easy,dex5-cube-x", None, 0.05),
     ):
         assert make_controller(name, dex5, rate).control_period == pytest.approx(period), name
+    for name, period in (("pursuing:goal", 0.02), ("pursuing:dex5-cube-goals", 0.05)):
+        made = make_controller(name, dex5, tracked=True)
+        assert made.control_period == pytest.approx(period), name
 
 
 @pytest.mark.usefixtures("learned")

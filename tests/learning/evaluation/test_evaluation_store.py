@@ -141,6 +141,7 @@ NAMES = (
     "commanded:dex5-cube-z,dex5-cube-x", "commanded:dex5-cube-x,dex5-cube-z",
     "commanded:dex5-easy-any,dex5-sphere-x", "sequence:dex5-cube-z,dex5-cube-x",
     "sequence:dex5-cube-z-any,dex5-cube-x-any", "sequence:dex5-cube-z,dex5-cube-x@0.5",
+    "pursuing:dex5-cube-goals", "pursuing:dex5-cube-goals-touch",
     "steered:dex5-axes", "steered:commanded:dex5-cube-z,dex5-cube-x",
 )  # fmt: skip
 

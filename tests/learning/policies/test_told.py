@@ -13,6 +13,8 @@ import pytest
 import dexctl
 from dexctl import controllers
 from dexctl.exceptions import InvalidInput
+from dexctl.rotations import inverse, multiply, rotation_vector
+from dexctl.sim import BatchSimulator, Scene
 from learning import policies
 from learning.envs import Observation, SetPointAction
 from learning.policies import Layer, Policy, PolicySpec
@@ -191,3 +193,19 @@ def test_a_command_that_was_always_about_one_axis(
     image = found.symmetry.inverse.of_state(state)
     expected = found.symmetry.of_joints(alone.act(image))
     np.testing.assert_allclose(found.act(state), expected, atol=1e-12)
+
+
+def test_a_policy_for_goals_turns_about_any_axis(dex5: dexctl.HandModel) -> None:
+    """Goals that go ahead of the object, told 0.5 rad/s for 3 s about axes that nobody trained."""
+    controller = controllers.resolve("pursuing:dex5-cube-goals", dex5)
+    scene, told = Scene.build(dex5, "cube"), np.array([[0.3, 0.0, 0.4], [0.0, -0.4, 0.3]])
+    with BatchSimulator(scene, 2, seed=0, threads=1) as sim:
+        begin = sim.read()
+        for _ in range(60):
+            action = controller.act(replace(sim.read(), goal_angular_velocity=told))
+            sim.write(sim.read().q_target + action)
+            sim.step()
+        came = sim.read()
+    assert begin.object_quaternion is not None and came.object_quaternion is not None
+    turned = rotation_vector(multiply(came.object_quaternion, inverse(begin.object_quaternion)))
+    np.testing.assert_allclose(turned, 3.0 * told, atol=0.3)
