@@ -28,6 +28,7 @@ from learning.training.log import read_rows
 
 if TYPE_CHECKING:
     from dexctl.hand import HandModel
+    from dexctl.sim import SceneConfig
     from learning.config import TrainConfig
 
 _EARLIER_CHECKPOINT = "checkpoint.pt"
@@ -90,21 +91,34 @@ class RunFolder:
         for path in (self.config_path, self.hand_path):
             path.unlink(missing_ok=True)
 
-    def note_hand(self, hand: HandModel) -> None:
+    def note_hand(self, hand: HandModel, scene: SceneConfig) -> None:
         """Keep which hand is trained; where it is kept already, it has to be the same.
 
+        How wide the scene's objects are is kept beside it: the digest leaves that out.
+
         Raises:
-            InvalidInput: the hand's files are others than when the run began.
+            InvalidInput: the hand's files are others than when the run began, or its objects
+                have another width.
         """
-        before = self.hand_digest()
+        before, held = self.hand_digest(), hand.config.object
+        own = scene.object if scene.object_size is None else ()
+        widths = {name: held.sizes.get(name, held.size) for name in own}
         if before is None:
-            write_text(self.hand_path, json.dumps(identity(hand), indent=2) + "\n")
+            kept = {**identity(hand), _WIDTHS: widths}
+            write_text(self.hand_path, json.dumps(kept, indent=2) + "\n")
             return
         if before != hand.digest:
             raise InvalidInput(
                 f"the files of the hand {hand.name} have changed since the run began (sha256 was "
                 f"{before[:12]}, is {hand.digest[:12]}); put them back, or begin anew"
             )
+        for name, width in (self.hand_widths() or {}).items():
+            if widths.get(name, width) != width:
+                raise InvalidInput(
+                    f"the hand {hand.name} now holds a {name} of {widths[name]:g} m; expected "
+                    f"{width:g} m, as when the run began: put it back into the hand's toml, or "
+                    "begin anew"
+                )
 
     def hand_digest(self) -> str | None:
         """The sha256 of the hand's files when the run began; None where it is not kept.
@@ -112,11 +126,25 @@ class RunFolder:
         Raises:
             InvalidInput: it cannot be read.
         """
+        kept = self._kept_hand()
+        return None if kept is None else kept["sha256"]
+
+    def hand_widths(self) -> dict[str, float] | None:
+        """How wide the run's objects were when it began [m]; None where it is not kept.
+
+        Raises:
+            InvalidInput: it cannot be read.
+        """
+        kept = self._kept_hand()
+        return None if kept is None else kept.get(_WIDTHS)
+
+    def _kept_hand(self) -> dict[str, Any] | None:
         try:
-            return str(json.loads(self.hand_path.read_text(encoding="utf-8"))["sha256"])
+            found = json.loads(self.hand_path.read_text(encoding="utf-8"))
+            return {**found, "sha256": str(found["sha256"]), **_as_widths(found)}
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InvalidInput(f"cannot read {self.hand_path}: {error}") from None
 
     def config(self) -> TrainConfig:
@@ -232,3 +260,13 @@ def _alive(process: int) -> bool:
     except PermissionError:
         return True
     return True
+
+
+_WIDTHS = "widths"  # in the file of the hand
+
+
+def _as_widths(kept: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """The widths in a file of a hand, as its entry; empty where it has none."""
+    if _WIDTHS not in kept:
+        return {}
+    return {_WIDTHS: {str(name): float(width) for name, width in kept[_WIDTHS].items()}}

@@ -76,7 +76,7 @@ def train(
         trainer.begin()
         with folder.lock():
             folder.create(trainer.config)
-            folder.note_hand(trainer.env.hand)
+            folder.note_hand(trainer.env.hand, config.env.scene)
             say(f"the run is kept in {path}")
             trainer.take_starts()
             try:
@@ -123,7 +123,7 @@ def resume(
         saved = folder.read_checkpoint()
         trainer = Trainer(config, folder, report, remark)
         try:
-            folder.note_hand(trainer.env.hand)
+            folder.note_hand(trainer.env.hand, config.env.scene)
             if saved is None:
                 trainer.begin()
             trainer.plan()
@@ -269,6 +269,7 @@ class Trainer:
             other.starts_path.exists()
             and planned_alike(self.config, other.config())
             and other.hand_digest() == self.env.hand.digest  # folders of earlier versions: None
+            and other.hand_widths() == self.folder.hand_widths()
         ):
             GraspStates.load(other.starts_path).save(self.folder.starts_path)
             self._remark(f"states to start from are those of {begun}")

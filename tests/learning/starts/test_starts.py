@@ -274,7 +274,7 @@ def test_a_run_that_begins_with_another_takes_what_was_planned_for_it(
     config = small(**{**plans, "steps": 8, "begin_from": first.path, **changes})
     trainer = Trainer(config, second, remark=said.append)
     second.create(config)
-    second.note_hand(trainer.env.hand)
+    second.note_hand(trainer.env.hand, config.env.scene)
     trainer.take_starts()
     trainer.close()
     assert second.starts_path.exists() == alike

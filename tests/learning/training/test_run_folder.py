@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 import os
 import pickle
@@ -16,6 +17,7 @@ import pytest
 
 import dexctl
 from dexctl.exceptions import InvalidInput
+from dexctl.sim import SceneConfig
 from learning.training.checkpoint import CheckpointError
 from learning.training.log import RunLog
 from learning.training.run_folder import RunFolder
@@ -170,11 +172,37 @@ def test_the_hand_of_a_run_may_not_change(run: RunFolder, tmp_path: Path) -> Non
     known = dexctl.hands.load("dex5")
     path = tmp_path / "mine.xml"
     path.write_text(known.path.read_text())
-    run.note_hand(replace(known.config, description=path).build())
-    run.note_hand(replace(known.config, description=path, name="renamed").build())
+    scene = SceneConfig()
+    run.note_hand(replace(known.config, description=path).build(), scene)
+    run.note_hand(replace(known.config, description=path, name="renamed").build(), scene)
     path.write_text(known.path.read_text().replace("0.014", "0.015"))
     with pytest.raises(InvalidInput, match="files of the hand mine have changed since the run"):
-        run.note_hand(replace(known.config, description=path, name="mine").build())
+        run.note_hand(replace(known.config, description=path, name="mine").build(), scene)
     run.hand_path.write_text("{")
     with pytest.raises(InvalidInput, match=r"cannot read .*hand\.json"):
-        run.note_hand(known)
+        run.note_hand(known, scene)
+
+
+def test_the_objects_of_a_run_stay_as_wide(run: RunFolder) -> None:
+    """A run went on with another width in the hand's toml, without a word."""
+    known = dexctl.hands.load("dex5").config
+
+    def hand(width: float) -> dexctl.HandModel:
+        return replace(known, object=replace(known.object, sizes={"cube": width})).build()
+
+    scene = SceneConfig(object=("cube", "sphere"))
+    run.note_hand(hand(0.09), scene)
+    run.note_hand(hand(0.09), scene)
+    assert run.hand_widths() == {"cube": 0.09, "sphere": known.object.size}
+    with pytest.raises(InvalidInput, match="dex5 now holds a cube of 0.08 m; expected 0.09 m, as"):
+        run.note_hand(hand(0.08), scene)
+    run.note_hand(hand(0.08), replace(scene, object_size=0.09))  # the run says it itself
+    run.note_hand(hand(0.08), replace(scene, object=("sphere",)))
+    kept = json.loads(run.hand_path.read_text())
+    for wrong in ("none", {"cube": "wide"}):
+        run.hand_path.write_text(json.dumps(kept | {"widths": wrong}))
+        with pytest.raises(InvalidInput, match=r"cannot read .*hand\.json"):
+            run.note_hand(hand(0.09), scene)
+    kept.pop("widths")  # as in folders of earlier versions
+    run.hand_path.write_text(json.dumps(kept))
+    run.note_hand(hand(0.08), scene)
