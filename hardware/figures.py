@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeGuard
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _WORDS = {
     "stale_joints": ("joints read in vain", "%", 100.0),
     "mean_contacts": ("fingertips in touch, mean", "", 1.0),
     "rotation_rad": ("object's turn about z", "rad", 1.0),
+    "rotation_as_told_rad": ("object's turn about the axis told", "rad", 1.0),
     "turning_speed_rad_s": ("its mean speed while the controller ran", "rad/s", 1.0),
     "object_lost_at_s": ("object lost at", "s", 1.0),
     "goal_reached_at_s": ("less than 0.2 rad from the goal at", "s", 1.0),
@@ -73,7 +75,7 @@ def figures_of_merit(log: Log) -> dict[str, float]:
     turn = object_turn(log)
     if turn is not None:
         angle, held = turn
-        found["rotation_rad"] = float(angle[-1])
+        found[turn_figure(log)] = float(angle[-1])
         turning = np.flatnonzero(held & (ticks.get("state", np.full(len(time), "run")) == "run"))
         if len(turning) > 1:  # neither the approach nor what follows the end counts
             first, last = turning[[0, -1]]
@@ -120,7 +122,9 @@ def in_words(figures: Mapping[str, float]) -> list[tuple[str, str]]:
 
 
 def object_turn(log: Log) -> tuple[Floats, Bools] | None:
-    """How far the object is turned about z, and whether it is held, at each tick.
+    """How far the object is turned, and whether it is held, at each tick.
+
+    It is turned about z, or about the axis of the angular velocity that the run was told.
 
     ``(T,)`` [rad] since the first tick, and ``(T,)`` bool: False once the object is farther from
     where it began than `dexctl.sim.trial.DROP_DISTANCE`; from there on the angle stands still. On a
@@ -135,7 +139,27 @@ def object_turn(log: Log) -> tuple[Floats, Bools] | None:
     position, quaternion = pose
     away = np.linalg.norm(position - position[0], axis=1)
     held = np.logical_and.accumulate(away <= DROP_DISTANCE)
-    return rotation_about(quaternion, held=held), held
+    return rotation_about(quaternion, _told_axis(log) or (0.0, 0.0, 1.0), held), held
+
+
+def turn_figure(log: Log) -> str:
+    """Of `figures_of_merit`, the one that says how far the object was turned."""
+    return "rotation_rad" if _told_axis(log) is None else "rotation_as_told_rad"
+
+
+def title(figure: str) -> str:
+    """What people read of a figure, and its unit."""
+    words, unit, _ = _WORDS[figure]
+    return f"{words} [{unit}]"
+
+
+def _told_axis(log: Log) -> tuple[float, float, float] | None:
+    """The axis that the run was told to turn the object about; None where it was told none."""
+    spin = log.run.get("goal_angular_velocity")
+    if not _finite(spin, 3) or not any(spin):
+        return None
+    x, y, z = (np.array(spin) / np.linalg.norm(spin)).tolist()
+    return x, y, z
 
 
 def left_to_goal(log: Log) -> Floats | None:
@@ -176,7 +200,7 @@ def _tracked_by_touch(log: Log) -> tuple[Floats, Floats] | None:
     return position[np.maximum(last, 0)], quaternion[np.maximum(last, 0)]
 
 
-def _finite(value: object, size: int) -> bool:
+def _finite(value: object, size: int) -> TypeGuard[list[float]]:
     """Whether it is a list of so many finite numbers."""
     if not isinstance(value, list) or any(type(one) not in (int, float) for one in value):
         return False

@@ -28,6 +28,8 @@ from hardware.figures import (
     in_words,
     left_to_goal,
     object_turn,
+    title,
+    turn_figure,
 )
 from hardware.findings import findings, joint_names, span, torque_limits, touch_thresholds
 from hardware.log import Log, limits_of, of_joints
@@ -271,7 +273,7 @@ def _turn(log: Log) -> str:
     angle, held = turn
     left = left_to_goal(log)
     figure = new_figure(_WIDTH, 2.2)
-    plots = [(angle, "object's turn about z [rad]")]
+    plots = [(angle, title(turn_figure(log)))]
     if left is not None:
         plots.append((left, "left to the goal [rad]"))
     for axes, (values, label) in zip(

@@ -94,6 +94,28 @@ def test_rotation_is_counted_until_the_object_is_lost(tmp_path: Path) -> None:
     assert "object lost at" in build(found)
 
 
+def test_rotation_is_counted_about_the_axis_that_was_told(tmp_path: Path) -> None:
+    """It was counted about z, whatever `--spin` said."""
+    pytest.importorskip("mcap", reason="needs the extra 'hardware'")
+    axis, angle = np.array([0.6, 0.0, -0.8]), np.array([0.0, 0.1, 0.3])
+    for spin, name, turned in (
+        ((0.3 * axis).tolist(), "rotation_as_told_rad", 0.3),
+        ([0.0, 0.0, 0.0], "rotation_rad", -0.241),  # 2 arctan(-0.8 tan 0.15)
+        ("torn", "rotation_rad", -0.241),
+    ):
+        path = tmp_path / f"{name}-{spin[0]}.mcap"
+        with LogWriter(path) as log:
+            log.write("/run", {"goal_angular_velocity": spin})
+            for i in range(3):
+                pose = [np.cos(angle[i] / 2), *(np.sin(angle[i] / 2) * axis)]
+                log.write("/tick", tick(i, object_position=[0, 0, 0.1], object_quaternion=pose))
+        found = read_log(path)
+        figures = figures_of_merit(found)
+        assert figures[name] == pytest.approx(turned, abs=1e-3)
+        assert len({"rotation_rad", "rotation_as_told_rad"} & set(figures)) == 1
+        assert in_words({name: figures[name]})[0][0].removeprefix("object's ") in build(found)
+
+
 def test_a_real_hand_has_what_was_tracked_by_touch(tmp_path: Path) -> None:
     """Before the controller starts nothing is tracked, and a damaged tick says nothing."""
     pytest.importorskip("mcap", reason="needs the extra 'hardware'")
