@@ -13,8 +13,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -439,6 +439,22 @@ def emulated_run(*words: str) -> dict[str, Any]:
     if not done.stdout.strip():
         raise SystemExit(f"dexctl {' '.join(command)}: {done.stderr.strip()}")
     return json.loads(done.stdout)
+
+
+def side_by_side(
+    jobs: int, trial: Callable[..., dict[str, Any]], wanted: Sequence[tuple[Any, ...]]
+) -> Iterator[tuple[tuple[Any, ...], dict[str, Any]]]:
+    """Trials that wait for processes of their own, ``jobs`` at a time, with their rows as they end.
+
+    After a Ctrl-C, which ends the trials under way, none begins.
+    """
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        runs = {pool.submit(trial, *one): one for one in wanted}
+        for run in as_completed(runs):
+            yield runs[run], run.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _before_drop(trace: Trace) -> dict[str, float] | None:

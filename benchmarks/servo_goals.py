@@ -8,7 +8,6 @@ looks as it does in the grasp; whether it is there is judged by where the emulat
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -25,6 +24,7 @@ from common import (
     progress,
     settings,
     share,
+    side_by_side,
     write,
 )
 from scipy.spatial.transform import Rotation
@@ -124,19 +124,14 @@ def main() -> None:
     rows = earlier("servo_goals", given, (*FIXED, "joint_offset"))
     done = {(row["who"], row["palm"], row["seed"]) for row in rows}
     wanted = [
-        (who, palm, number)
+        (who, palm, number, given)
         for who, palm, number in product(given.who, given.palms, range(given.trials))
         if (who, palm, given.seed + number) not in done
     ]
-    pool = ThreadPoolExecutor(given.jobs)
-    try:
-        runs = {pool.submit(trial, *one, given): one for one in wanted}
-        for run in as_completed(runs):
-            rows.append(run.result())
-            save(rows, given, say=False)
-            progress(", ".join(map(str, runs[run])))
-    finally:  # after a Ctrl-C, which ends the trials under way, none begins
-        pool.shutdown(cancel_futures=True)
+    for (*words, _), row in side_by_side(given.jobs, trial, wanted):
+        rows.append(row)
+        save(rows, given, say=False)
+        progress(", ".join(map(str, words)))
     save(rows, given, say=True)
 
 

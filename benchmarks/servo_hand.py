@@ -10,7 +10,6 @@ began) or the end.
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -28,6 +27,7 @@ from common import (
     progress,
     settings,
     share,
+    side_by_side,
     write,
 )
 
@@ -211,25 +211,19 @@ def main() -> None:
     rows = earlier("servo_hand", given, ("seed", "joint_offset"))
     done = {(*kind(row), row["seed"]) for row in rows}
     seeds = range(given.seed, given.seed + given.trials)
-    pool = ThreadPoolExecutor(given.jobs)
 
     def key(who: str, turned: str, seed: int) -> tuple[Any, ...]:
         pose = pose_of(who, given)
         row = {"who": who, "object": turned, "object_pose": pose, "seconds": given.seconds}
         return (*kind({**row, **offset(given), **tracker(pose, given)}), seed)
 
-    try:
-        waiting = [
-            pool.submit(trial, who, turned, seed, given)
-            for who, turned, seed in product(given.who, given.objects, seeds)
-            if key(who, turned, seed) not in done
-        ]
-        for one in as_completed(waiting):
-            rows.append(one.result())
-            save(rows, given, say=False)
-            progress(json.dumps(rows[-1]))
-    finally:  # after a Ctrl-C, which ends the trials under way, none begins
-        pool.shutdown(cancel_futures=True)
+    wanted = [
+        (*one, given) for one in product(given.who, given.objects, seeds) if key(*one) not in done
+    ]
+    for _, row in side_by_side(given.jobs, trial, wanted):
+        rows.append(row)
+        save(rows, given, say=False)
+        progress(json.dumps(row))
     save(rows, given, say=True)
 
 
