@@ -97,6 +97,8 @@ RUNS: dict[str, list[str]] = {
     "predictive_sampling.py": [*SHORT],
     "identification.py": ["--trials", "1", "--seconds", "6", "--motions", "chirp"],
     "servo_goals.py": [*SHORT, "--palms", "down"],
+    "servo_told.py": [*SHORT, "--palms", "down"],
+    "told.py": [*SHORT, "--objects", "cube", "sphere"],
     "servo_hand.py": [*SHORT, "--objects", "cylinder"],
     "reorientation.py": [
         *(*SHORT, "--turning", "1", "--goals", "cube", "--axes=x,-z", "--long", "1"),
@@ -121,7 +123,7 @@ LONGER = {  # than five seconds of processor, however little they are asked for
     "identification.py", "in_grasp.py", "learned.py", "learner.py",
     "learning_ablation.py", "planning.py", "predictive_sampling.py", "ranges.py",
     "reach.py", "reorientation.py", "robustness.py", "seen_ablation.py", "servo_goals.py",
-    "servo_hand.py", "starts.py", "touch.py", "touch_tracking.py",
+    "servo_hand.py", "servo_told.py", "starts.py", "told.py", "touch.py", "touch_tracking.py",
 }  # fmt: skip
 
 FIRST_SEEDS = {  # of those that do not begin with 0
@@ -129,6 +131,8 @@ FIRST_SEEDS = {  # of those that do not begin with 0
     "predictive_sampling": 100,
     "touch_tracking": 1000,
     "servo_goals": 40_000,
+    "servo_told": 41_000,
+    "told": 1000,
     "conditions": 20_000,
     "hands_learned": 20_000,
     "ranges": 30_000,
@@ -178,7 +182,9 @@ def test_script_runs(script: str, tmp_path: Path, request: pytest.FixtureRequest
         "hardware_loop.py",
         "hardware_grasp.py",
         "identification.py",
+        "servo_goals.py",
         "servo_hand.py",
+        "servo_told.py",
     ):
         pytest.importorskip("dynamixel_sdk", reason="needs the extra 'hardware'")
     if script in (
