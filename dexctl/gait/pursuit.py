@@ -129,6 +129,7 @@ class GoalPursuit(BatchController):
                 "the state has no orientation of the object; expected a tracked object"
             )
         if state.goal_quaternion is not None:
+            self._start(len(now))  # told again, the object is somewhere else
             action = self.reacher.act(state)
             self._diagnostics = {**self.reacher.diagnostics, "ahead": np.zeros(len(now))}
             return action

@@ -141,6 +141,17 @@ def test_where_nobody_tells(cylinder: Scene, start: GraspState, still: Callable[
     np.testing.assert_array_equal(asked.asked.goal_quaternion, goal)
 
 
+def test_after_a_goal_of_the_states_own_it_starts_from_where_the_object_is(
+    pursuit: GoalPursuit, start: GraspState
+) -> None:
+    pursuit.act(told(start, [0, 0, 0.8]))
+    goal = np.tile([0.0, 1.0, 0.0, 0.0], (2, 1))
+    pursuit.act(replace(told(start, [0, 0, 0.8]), goal_quaternion=goal))
+    tilted = told(start, [0, 0, 0.8], [1.0, 0, 0])
+    pursuit.act(tilted)
+    np.testing.assert_allclose(ahead(pursuit, tilted), [[0, 0, 0.04]] * 2, atol=1e-9)
+
+
 def test_the_goal_gait_turns_so(cylinder: Scene) -> None:
     """Told 0.1 rad/s for 8 s, either way, it turns 0.8 rad less what it lags behind."""
     made = controllers.make("pursuing:goal", cylinder.hand, control_period=PERIOD)
