@@ -182,6 +182,10 @@ class HeldObject:
         if self.travel is not None and not (np.isfinite(self.travel) and self.travel > 0):
             raise HandModelError(f"object.travel is {self.travel!r}; expected radians above 0")
 
+    def width(self, name: str) -> float | None:
+        """How wide the object of that name is where nobody says [m]; None: it is not known."""
+        return self.sizes.get(name, self.size)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Coupling:

@@ -73,8 +73,6 @@ class GoalPursuit(BatchController):
     """
 
     tracks = True
-    goes_to_goals = None
-    turns_as_told = None
 
     def __init__(
         self,

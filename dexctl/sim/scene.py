@@ -153,7 +153,7 @@ class Scene:
         if object_size is not None:
             width = checks.object_size(object_size)
         else:
-            width = 0.0 if name == MESH else held.sizes.get(name, held.size)
+            width = 0.0 if name == MESH else held.width(name)
         place = held.centre if grasp_centre is None else grasp_centre
         elsewhere = None
         given = any(one is not None for one in (grasp_centre, open_q, grasp_q))

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from dexctl.sim import SceneConfig
     from learning.config import TrainConfig
 
+_WIDTHS = "widths"  # in the file of the hand
 _EARLIER_CHECKPOINT = "checkpoint.pt"
 _PART = re.compile(r"\..+\.(\d+)\.part(\.[^.]+)?")
 """Names that `dexctl.files.aside` writes to, with the number of the process."""
@@ -100,9 +101,10 @@ class RunFolder:
             InvalidInput: the hand's files are others than when the run began, or its objects
                 have another width.
         """
-        before, held = self.hand_digest(), hand.config.object
+        before, known = self._kept_hand()
         own = scene.object if scene.object_size is None else ()
-        widths = {name: held.sizes.get(name, held.size) for name in own}
+        found = {name: hand.config.object.width(name) for name in own}
+        widths = {name: width for name, width in found.items() if width is not None}
         if before is None:
             kept = {**identity(hand), _WIDTHS: widths}
             write_text(self.hand_path, json.dumps(kept, indent=2) + "\n")
@@ -112,7 +114,7 @@ class RunFolder:
                 f"the files of the hand {hand.name} have changed since the run began (sha256 was "
                 f"{before[:12]}, is {hand.digest[:12]}); put them back, or begin anew"
             )
-        for name, width in (self.hand_widths() or {}).items():
+        for name, width in (known or {}).items():
             if widths.get(name, width) != width:
                 raise InvalidInput(
                     f"the hand {hand.name} now holds a {name} of {widths[name]:g} m; expected "
@@ -126,8 +128,7 @@ class RunFolder:
         Raises:
             InvalidInput: it cannot be read.
         """
-        kept = self._kept_hand()
-        return None if kept is None else kept["sha256"]
+        return self._kept_hand()[0]
 
     def hand_widths(self) -> dict[str, float] | None:
         """How wide the run's objects were when it began [m]; None where it is not kept.
@@ -135,15 +136,18 @@ class RunFolder:
         Raises:
             InvalidInput: it cannot be read.
         """
-        kept = self._kept_hand()
-        return None if kept is None else kept.get(_WIDTHS)
+        return self._kept_hand()[1]
 
-    def _kept_hand(self) -> dict[str, Any] | None:
+    def _kept_hand(self) -> tuple[str | None, dict[str, float] | None]:
+        """The digest and the widths, each None where it is not kept."""
         try:
-            found = json.loads(self.hand_path.read_text(encoding="utf-8"))
-            return {**found, "sha256": str(found["sha256"]), **_as_widths(found)}
+            kept = json.loads(self.hand_path.read_text(encoding="utf-8"))
+            widths = kept.get(_WIDTHS)  # None in folders of earlier versions
+            if widths is not None:
+                widths = {str(name): float(width) for name, width in widths.items()}
+            return str(kept["sha256"]), widths
         except FileNotFoundError:
-            return None
+            return None, None
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InvalidInput(f"cannot read {self.hand_path}: {error}") from None
 
@@ -260,13 +264,3 @@ def _alive(process: int) -> bool:
     except PermissionError:
         return True
     return True
-
-
-_WIDTHS = "widths"  # in the file of the hand
-
-
-def _as_widths(kept: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """The widths in a file of a hand, as its entry; empty where it has none."""
-    if _WIDTHS not in kept:
-        return {}
-    return {_WIDTHS: {str(name): float(width) for name, width in kept[_WIDTHS].items()}}

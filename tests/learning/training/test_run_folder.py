@@ -198,6 +198,12 @@ def test_the_objects_of_a_run_stay_as_wide(run: RunFolder) -> None:
         run.note_hand(hand(0.08), scene)
     run.note_hand(hand(0.08), replace(scene, object_size=0.09))  # the run says it itself
     run.note_hand(hand(0.08), replace(scene, object=("sphere",)))
+    unknown = replace(known, object=replace(known.object, size=None)).build()
+    nowhere = RunFolder(run.path / "unknown")
+    nowhere.path.mkdir()
+    for _ in range(2):  # what is not known is not kept
+        nowhere.note_hand(unknown, scene)
+    assert nowhere.hand_widths() == {}
     kept = json.loads(run.hand_path.read_text())
     for wrong in ("none", {"cube": "wide"}):
         run.hand_path.write_text(json.dumps(kept | {"widths": wrong}))
