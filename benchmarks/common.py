@@ -457,6 +457,45 @@ def side_by_side(
         pool.shutdown(cancel_futures=True)
 
 
+def measure_by_palm(
+    name: str,
+    given: Any,
+    fixed: Sequence[str],
+    trial: Callable[..., dict[str, Any]],
+    save: Callable[..., None],
+) -> None:
+    """Trials of each who with each palm on the emulated servo hand; written after every one.
+
+    Args:
+        name: of the script.
+        given: its settings, with who, palms, trials, seed and jobs.
+        fixed: settings that all rows have in common.
+        trial: (who, palm, number, given) -> its row, whose seed is given.seed + number.
+        save: (rows, given, say=) writes the result.
+    """
+    rows = earlier(name, given, fixed)
+    done = {(row["who"], row["palm"], row["seed"]) for row in rows}
+    wanted = [
+        (who, palm, number, given)
+        for who, palm, number in product(given.who, given.palms, range(given.trials))
+        if (who, palm, given.seed + number) not in done
+    ]
+    for (*words, _), row in side_by_side(given.jobs, trial, wanted):
+        rows.append(row)
+        save(rows, given, say=False)
+        progress(", ".join(map(str, words)))
+    save(rows, given, say=True)
+
+
+def by_touch(who: str, thing: str, palm: str, seed: int, given: Any, *told: str) -> dict[str, Any]:
+    """One `emulated_run` with an object that is tracked by touch, and encoders that are off."""
+    return emulated_run(
+        who, "--object", thing, "--gravity", palm, "--object-pose", "touch", *told,
+        "--seconds", f"{given.seconds:g}", "--seed", str(seed),
+        "--joint-offset", f"{given.joint_offset:g}",
+    )  # fmt: skip
+
+
 def _before_drop(trace: Trace) -> dict[str, float] | None:
     """How trials stood a second before they dropped the object, medians; None if none did."""
     dropped = np.flatnonzero(trace.dropped)

@@ -9,7 +9,6 @@ looks as it does in the grasp; whether it is there is judged by where the emulat
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,13 +17,11 @@ from common import (
     PALMS,
     Figure,
     Settings,
-    earlier,
-    emulated_run,
+    by_touch,
+    measure_by_palm,
     percent_interval,
-    progress,
     settings,
     share,
-    side_by_side,
     write,
 )
 from scipy.spatial.transform import Rotation
@@ -64,11 +61,8 @@ def goals() -> list[tuple[float, ...]]:
 def trial(who: str, palm: str, number: int, given: Options) -> dict[str, Any]:
     """One run to one goal."""
     goal, seed = goals()[number], given.seed + number
-    found = emulated_run(
-        who, "--object", "cube", "--gravity", palm, "--object-pose", "touch",
-        "--goal", *(f"{one:.6f}" for one in goal), "--seconds", f"{given.seconds:g}",
-        "--seed", str(seed), "--joint-offset", f"{given.joint_offset:g}",
-    )  # fmt: skip
+    words = ("--goal", *(f"{one:.6f}" for one in goal))
+    found = by_touch(who, "cube", palm, seed, given, *words)
     figures = found["figures"]
     return {
         "who": who,
@@ -121,18 +115,7 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    rows = earlier("servo_goals", given, (*FIXED, "joint_offset"))
-    done = {(row["who"], row["palm"], row["seed"]) for row in rows}
-    wanted = [
-        (who, palm, number, given)
-        for who, palm, number in product(given.who, given.palms, range(given.trials))
-        if (who, palm, given.seed + number) not in done
-    ]
-    for (*words, _), row in side_by_side(given.jobs, trial, wanted):
-        rows.append(row)
-        save(rows, given, say=False)
-        progress(", ".join(map(str, words)))
-    save(rows, given, say=True)
+    measure_by_palm("servo_goals", given, (*FIXED, "joint_offset"), trial, save)
 
 
 if __name__ == "__main__":

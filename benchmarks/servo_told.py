@@ -9,7 +9,6 @@ judged by where the emulator has it, up to a drop or the end.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,14 +17,12 @@ from common import (
     PALMS,
     Figure,
     Settings,
-    earlier,
-    emulated_run,
+    by_touch,
+    measure_by_palm,
     over_seeds,
     percent_interval,
-    progress,
     settings,
     share,
-    side_by_side,
     write,
 )
 
@@ -65,11 +62,8 @@ def trial(who: str, palm: str, number: int, given: Options) -> dict[str, Any]:
     """One run about one axis."""
     axis, seed = np.array(AXES[number]), given.seed + number
     spin = given.speed * axis / np.linalg.norm(axis)
-    found = emulated_run(
-        who, "--object", given.object, "--gravity", palm, "--object-pose", "touch",
-        "--spin", *(f"{one:.6f}" for one in spin), "--seconds", f"{given.seconds:g}",
-        "--seed", str(seed), "--joint-offset", f"{given.joint_offset:g}",
-    )  # fmt: skip
+    words = ("--spin", *(f"{one:.6f}" for one in spin))
+    found = by_touch(who, given.object, palm, seed, given, *words)
     figures = found["figures"]
     return {
         "who": who,
@@ -126,18 +120,7 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 
 def main() -> None:
     given = settings(Options, __doc__)
-    rows = earlier("servo_told", given, (*FIXED, "object", "speed", "joint_offset"))
-    done = {(row["who"], row["palm"], row["seed"]) for row in rows}
-    wanted = [
-        (who, palm, number, given)
-        for who, palm, number in product(given.who, given.palms, range(given.trials))
-        if (who, palm, given.seed + number) not in done
-    ]
-    for (*words, _), row in side_by_side(given.jobs, trial, wanted):
-        rows.append(row)
-        save(rows, given, say=False)
-        progress(", ".join(map(str, words)))
-    save(rows, given, say=True)
+    measure_by_palm("servo_told", given, (*FIXED, "object", "speed", "joint_offset"), trial, save)
 
 
 if __name__ == "__main__":
