@@ -23,7 +23,7 @@ LEAST_FINGERS = 4
 """A gait lifts one finger while three hold."""
 _STAYS = 0.02  # how far from where it was grasped an object counts as held [m]
 _PALM_DOWN = 0.5  # what a turn palm down counts beside one palm up
-FURTHER = 0.6
+FURTHER = 0.45
 """`HeldObject.travel` that is tried beside the usual one [rad]; it suits the LEAP hand."""
 _WORTH = 1.1  # of the value without it, from which on it is taken
 
