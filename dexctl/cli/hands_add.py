@@ -17,7 +17,7 @@ from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError
 from dexctl.hand_config import HandConfig, HeldObject, ServoConfig
-from dexctl.validation import check_seed
+from dexctl.validation import check_name, check_seed
 
 if TYPE_CHECKING:
     from dexctl.hand import HandModel
@@ -80,9 +80,10 @@ class Add:
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InvalidInput(f"--object-{option} is {value}; expected {unit}")
         if self.object is not None:
-            from dexctl.sim.scene_config import SceneConfig
+            from dexctl.sim import object_names
 
-            SceneConfig(object=(self.object,)).check_objects()
+            # not a mesh: a toml names no file of an object's
+            check_name("object", self.object, object_names())
         proposal = propose(self.file, self.fingertips, self.base)
         reasons = {"": self._head(), **proposal.reasons}
         reasons["object.mass"] = "Of the object that grasps were tried with [kg]."

@@ -55,6 +55,7 @@ def test_add_without_a_grasp(
         ("RING --out here.txt", 2, "--out is 'here.txt'; expected the name of a .toml"),
         ("RING --out there.toml", 2, "there.toml is there already; give another --out, or --repl"),
         ("RING --object anvil", 2, "unknown object 'anvil'"),
+        ("RING --object mesh", 2, "unknown object 'mesh'; known: cube"),
         ("RING --object-size -1", 2, "--object-size is -1"),
         ("RING --object-mass 0", 2, "--object-mass is 0.0; expected kilograms above 0"),
         ("RING --base arm", 2, "unknown body 'arm'; known: mount, palm"),

@@ -165,7 +165,9 @@ def test_longer_strides_are_written_where_the_gait_gains_by_them(
     monkeypatch.setattr(hands_grasp, "turned", trial)
     config, made = further(dex5.config, "cube", usual, Turning(seconds=20.0), seed=3)
     assert asked == [(hands_grasp.FURTHER, "cube", ("up",), 8, 20.0, 3)]
-    assert (config.object.travel, made) == ((hands_grasp.FURTHER, found) if taken else (None, usual))
+    assert (config.object.travel, made) == (
+        (hands_grasp.FURTHER, found) if taken else (None, usual)
+    )
 
 
 def test_trials_are_those_of_the_gait(dex5: dexctl.HandModel) -> None:
