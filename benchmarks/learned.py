@@ -21,7 +21,6 @@ from common import (
 import dexctl
 from dexctl import controllers
 from dexctl.controller import Controller
-from learning import policies
 from learning.evaluation import Protocol, evaluate
 
 HAND = "dex5"
@@ -33,7 +32,10 @@ TITLES = {
     "coordinated": "coordinated gait",
     "dex5-cylinder": "learned, on the cylinder",
     "dex5-easy": "learned, on all five",
+    "dex5-easy-any": "learned, on all five any way up",
 }
+ALONE = {"dex5-cylinder": ("cylinder",)}  # the object of what was trained on one; others: all
+IN_FIGURES = ("cylinder", "cube")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +69,8 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     """Lines of README's table."""
     by = {(row["who"], row["object"]): row for row in rows}
     found = []
-    for name in policies.names(HAND):
-        for turned in ("cylinder", "cube") if name.endswith("-easy") else (name.split("-")[1],):
+    for name in (name for name in TITLES if name not in COMPARED):
+        for turned in ALONE.get(name, IN_FIGURES):
             row = by.get((name, turned))
             guide = by.get(("coordinated", turned))
             if row is None or guide is None:
@@ -119,16 +121,14 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
 def main() -> None:
     given = settings(Options, __doc__)
     hand = dexctl.hands.load(HAND)
-    who = {name: (lambda name=name: controllers.make(name, hand)) for name in COMPARED}
-    who |= {name: (lambda name=name: policies.load(name)) for name in policies.names(HAND)}
     rows = earlier("learned", given)
     done = {(row["who"], row["object"]) for row in rows}
     for turned in given.objects:
-        for name, make in who.items():
-            trained = name.split("-")[-1]
-            if (name, turned) in done or (name not in COMPARED and trained not in ("easy", turned)):
+        for name in TITLES:
+            if (name, turned) in done or turned not in ALONE.get(name, OBJECTS):
                 continue
-            row = {"who": name, "time_s": given.seconds, **measure(make(), turned, given)}
+            who = controllers.resolve(name, hand)
+            row = {"who": name, "time_s": given.seconds, **measure(who, turned, given)}
             rows.append(row)
             save(rows, given, say=False)
             progress(f"{turned}, {name}: {row['rotation_rad']['median']:.1f} rad")

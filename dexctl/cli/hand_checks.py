@@ -76,22 +76,27 @@ def check_hand(
         yield check_holding(hand, name, palm, seconds=seconds, trials=trials, seed=seed)
 
 
-def _limits(hand: HandModel) -> HandCheck:
+def unlimited(hand: HandModel) -> str:
+    """What a hand's file, and its toml, do not say of its joints' limits; empty: nothing."""
     names = np.array(hand.joint_names)
     missing = {
         "range": ~(np.isfinite(hand.lower) & np.isfinite(hand.upper)),
         "torque limit": ~np.isfinite(hand.effort),
         "speed limit": ~np.isfinite(hand.velocity),
     }
-    said = [
+    return "; ".join(
         f"no {what}: {'any joint' if where.all() else ', '.join(names[where])}"
         for what, where in missing.items()
         if where.any()
-    ]
+    )
+
+
+def _limits(hand: HandModel) -> HandCheck:
     empty = hand.lower >= hand.upper
+    said = [unlimited(hand)]
     if empty.any():
-        said.insert(0, f"no room to move: {', '.join(names[empty])}")
-    return HandCheck("joint limits", not empty.any(), "; ".join(said) or "all there")
+        said.insert(0, f"no room to move: {', '.join(np.array(hand.joint_names)[empty])}")
+    return HandCheck("joint limits", not empty.any(), "; ".join(filter(None, said)) or "all there")
 
 
 def _jacobians(hand: HandModel, seed: int) -> HandCheck:

@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from dexctl.cli.checks import make_folder
+from dexctl.cli.hand_checks import unlimited
 from dexctl.cli.hands_grasp import Turning, chosen, further, suggestions
 from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
@@ -85,13 +86,20 @@ class Add:
             # not a mesh: a toml names no file of an object's
             check_name("object", self.object, object_names())
         proposal = propose(self.file, self.fingertips, self.base)
-        reasons = {"": self._head(), **proposal.reasons}
+        reasons = dict(proposal.reasons)
         reasons["object.mass"] = "Of the object that grasps were tried with [kg]."
         held = replace(proposal.config.object, mass=self.object_mass)
         config = replace(proposal.config, name=out.stem, object=held)
         hand = config.build()
         console = notes()
         console.print(f"dexctl: {hand.n_fingers} fingers, {hand.nq} joints")
+        if missing := unlimited(hand):
+            missing = (
+                f"The file has {missing}. What motors can do is no guess of ours: write it as "
+                "servos.effort [N m] and servos.velocity [rad/s]."
+            )
+            console.print(f"dexctl: {missing}")
+        reasons[""] = f"{self._head()} {missing}".strip()
         failure, scene = None, None
         if self.grasp:
             try:
@@ -112,6 +120,7 @@ class Add:
             "guesses": [{"setting": s, "value": v, "reason": r} for s, v, r in rows],
             "grasp": None if failure or not self.grasp else config.object.shape,
             "failure": None if failure is None else str(failure),
+            "unlimited": missing,
         }
         if self.json:
             print_json(found)

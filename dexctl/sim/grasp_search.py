@@ -1,7 +1,7 @@
 """Grasp search: places, sizes and postures in which fingertips could hold an object, by the kernel.
 
 1. Places, sizes and turns of the object are drawn where the fingertips of random postures
-   surround them; palm and links keep clear.
+   surround them, or near a place that is given; palm and links keep clear.
 2. In each, every finger that reaches the surface takes one of the postures that touch it; fingers
    that do not reach are left out, three at least are in. Combinations are drawn.
 3. Combinations are ranked by how well their normal forces balance (the thesis's stability QP), with
@@ -113,6 +113,7 @@ class GraspSearch:
         weight: of the object [N].
         twist: that the object is wanted to move with, ``(6,)`` (linear, angular), of any size.
         seed: of what is drawn.
+        near: a place whose surroundings are searched, and nothing else; None: all over.
     """
 
     workspace: Workspace
@@ -127,6 +128,7 @@ class GraspSearch:
     weight: float = 1.0
     twist: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     seed: int = 0
+    near: Placement | None = None
 
     def run(self, placements: int = 240, keep: int = 48) -> Contacts | None:
         """The best ``keep`` combinations, best first; None where no place is in reach."""
@@ -146,9 +148,16 @@ class GraspSearch:
         return found.take(_distinct(found, keep, 2))
 
     def drawn(self, count: int, rng: np.random.Generator) -> list[Placement]:
-        """Places, sizes and turns amid the fingertips of random postures."""
-        space = self.workspace
+        """Places, sizes and turns amid the fingertips of random postures, or near one."""
         centres, sizes = self.centre, self.size
+        if self.near is not None:
+            there = Placement(
+                self.near.centre if centres is None else centres,
+                self.near.size if sizes is None else sizes,
+                self.near.yaw,
+            )
+            return [self._moved(there, rng) for _ in range(count)]
+        space = self.workspace
         # amid the tips of random postures that are far from limits
         easy = [np.flatnonzero(margin > _EASY) for margin in space.margin.T]
         if not any(map(len, easy)):  # of very many joints one is always near its limits

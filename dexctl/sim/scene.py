@@ -229,6 +229,7 @@ class Scene:
         count: int = 3,
         tries: int = 12,
         seed: int = 0,
+        near: SuggestedGrasp | None = None,
     ) -> tuple[SuggestedGrasp, ...]:
         """Grasps that hold, best first: where, how large the object, and the hand's postures.
 
@@ -245,6 +246,8 @@ class Scene:
             count: how many grasps that hold both ways are enough.
             tries: how many are settled, at most.
             seed: of the search, 0 or more.
+            near: a grasp, of any object, whose surroundings are searched: within centimetres of
+                where it holds, at about its width. None: wherever the fingers reach.
 
         Raises:
             InvalidInput: a value is out of range.
@@ -259,7 +262,7 @@ class Scene:
         return suggest(
             model, name, mesh=file, object_mass=object_mass, object_size=object_size,
             friction=friction, grasp_centre=grasp_centre, grip=grip, twist=twist, count=count,
-            tries=tries, seed=seed,
+            tries=tries, seed=seed, near=near,
         )  # fmt: skip
 
     @property

@@ -20,7 +20,7 @@ from dexctl.hand import HandModel
 from dexctl.hand_config import HandConfig, HeldObject, PostureConfig
 from dexctl.sim import checks
 from dexctl.sim.grasp_score import GraspScore, Ranked, ranked
-from dexctl.sim.grasp_search import LEAST_FINGERS, GraspSearch
+from dexctl.sim.grasp_search import LEAST_FINGERS, GraspSearch, Placement
 from dexctl.sim.no_grasp import explained, flat_fingers
 from dexctl.sim.objects import MESH
 from dexctl.sim.scene import Scene
@@ -68,6 +68,11 @@ class SuggestedGrasp(NamedTuple):
     score: GraspScore
     time_up: float
     time_down: float
+
+    @property
+    def placement(self) -> Placement:
+        """Where the object is, how wide, and how it is turned."""
+        return Placement(self.centre, self.size or 1.0, self.yaw)
 
     @property
     def held_up(self) -> bool:
@@ -126,6 +131,7 @@ def suggest(
     count: int,
     tries: int,
     seed: int,
+    near: SuggestedGrasp | None = None,
 ) -> tuple[SuggestedGrasp, ...]:
     """See `Scene.suggest_grasp`."""
     options: dict[str, Any] = {
@@ -143,7 +149,7 @@ def suggest(
         raise SimulationError(
             f"{hand.name}: 1 finger, {hand.fingertip_names[0]}; expected 2 or more to hold a {name}"
         )
-    search = _search(hand, name, object_size, grasp_centre, wanted, seed, options)
+    search = _search(hand, name, object_size, grasp_centre, wanted, seed, options, near)
     if why := flat_fingers(search):
         raise SimulationError(f"{hand.name}: no grasp of a {name}: {why}")
     best = ranked(search)
@@ -200,6 +206,7 @@ def _search(
     twist: Floats,
     seed: int,
     options: dict[str, Any],
+    near: SuggestedGrasp | None = None,
 ) -> GraspSearch:
     own_size = name == MESH and size is None
     scene = Scene.build(
@@ -221,6 +228,7 @@ def _search(
         weight=9.81 * scene.object_mass,
         twist=(x, y, z, a, b, c),
         seed=seed,
+        near=None if near is None else near.placement,
     )
 
 

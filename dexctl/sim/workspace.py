@@ -6,6 +6,7 @@ object serves with any posture of the others.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -103,7 +104,7 @@ class Workspace:
         jacobian = self._configuration.finger_jacobian(self.tips)
         self.dexterity = np.asarray(np.linalg.svd(jacobian, compute_uv=False)[..., -1], float)
         offsets = np.linalg.norm(hand.fingertip_offsets, axis=-1)
-        lengths = [_length(model, name) for name in hand.fingertip_bodies]
+        lengths = _lengths(model, hand.fingertip_bodies)
         self.reach = max(0.02, float(np.median(offsets + lengths)))
         self._tips = [self._part(centres, f, tip=True) for f in range(hand.n_fingers)]
         self._links = [self._part(centres, f, tip=False) for f in range(hand.n_fingers)]
@@ -178,13 +179,29 @@ class Workspace:
         return jacobian_at(self._configuration, finger, touches.posture, touches.position)
 
 
-def _length(model: mujoco.MjModel, tip: str) -> float:
-    """From the finger's first joint to its tip's body, along the links [m]."""
-    body, length = model.body(tip).id, 0.0
-    while body > 0 and model.body_jntnum[model.body_parentid[body]] > 0:
-        length += float(np.linalg.norm(model.body_pos[body]))
+def _lengths(model: mujoco.MjModel, tips: Sequence[str]) -> Floats:
+    """Of each finger from its first joint to its tip's body, along the links ``(m,)`` [m].
+
+    A joint that moves other fingers too, a wrist's, is not the finger's.
+    """
+    above = [_above(model, model.body(tip).id) for tip in tips]
+    lengths = []
+    for i, chain in enumerate(above):
+        others = {body for j, other in enumerate(above) if j != i for body in other}
+        own = [body for body in chain if body not in others]
+        jointed = [k for k, body in enumerate(own) if model.body_jntnum[body] > 0]
+        links = own[: jointed[-1]] if jointed else []
+        lengths.append(np.linalg.norm(model.body_pos[links], axis=-1).sum())
+    return np.array(lengths)
+
+
+def _above(model: mujoco.MjModel, body: int) -> list[int]:
+    """A body and all that it hangs on, itself first, without the world."""
+    found = []
+    while body > 0:
+        found.append(body)
         body = int(model.body_parentid[body])
-    return length
+    return found
 
 
 def jacobian_at(

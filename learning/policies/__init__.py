@@ -36,6 +36,8 @@ __all__ = [
 FOLDER = Path(__file__).parent
 IN_RUN = "policy.npz"
 """Name of the policy in a run folder."""
+GENERAL = {"dex5": "dex5-easy-any"}
+"""By hand, the policy for most objects and any way up of those that need no tracker."""
 
 
 def names(hand: str | None = None) -> tuple[str, ...]:
@@ -112,25 +114,24 @@ def learned(
     Args:
         hand: the hand.
         control_period: must be the one that the policy was trained with [s]; None takes it.
-        policy: what `load` takes; None is the first of `names` that was trained on a hand of this
-            name: one for several objects before those for single ones, and among these the one for
-            the object that the hand's toml names.
+        policy: what `load` takes; None is the one in `GENERAL` for a hand of this name, or of the
+            `names` that were trained on it the one for the object that the hand's toml names, or
+            the first.
         axis, pace: see `load`.
 
     Raises:
         UnknownName, InvalidInput: there is no such policy or file, or none for this hand or period.
     """
     if policy is None:
-        own = list(names(hand.name))
+        own = names(hand.name)
         if not own:
             known = sorted({name.partition("-")[0] for name in names()})
             raise InvalidInput(
                 f"no learned policy comes with dexctl for the hand {hand.name!r}; there is "
                 f"one for {', '.join(known)}, and `dexctl train` makes others"
             )
-        suits = f"-{hand.config.object.shape}"
-        own.sort(key=lambda name: (not name.endswith("-easy"), not name.endswith(suits)))
-        policy = own[0]
+        suits = (GENERAL.get(hand.name), f"{hand.name}-{hand.config.object.shape}")
+        policy = next((name for name in suits if name in own), own[0])
     found = load(policy, hand=hand, axis=axis, pace=pace)
     if control_period is not None and not np.isclose(control_period, found.control_period):
         raise InvalidInput(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +33,7 @@ def test_add_without_a_grasp(
     assert main(["hands", "add", str(RING), "--out", "mine.toml", "--no-grasp", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["fingertips"] == [f"f{i}_tip" for i in range(1, 6)]
+    assert found["unlimited"] == ""
     # the hand by itself, stretched and open, from two sides
     drawn = [Path(one) for one in found["pictures"] if one.endswith(".png")]
     assert len(drawn) == PICTURES
@@ -44,6 +46,18 @@ def test_add_without_a_grasp(
     hand = dexctl.HandModel.load("mine.toml")
     tips = hand.fingertip_positions(np.zeros(15))
     assert tips[:, 2].min() > 0.15 and np.ptp(tips[:, 2]) < 1e-3
+
+
+def test_limits_that_the_file_does_not_say_are_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, toml = tmp_path / "ring.urdf", tmp_path / "mine.toml"
+    file.write_text(re.sub(r' (effort|velocity)="[^"]*"', "", RING.read_text()))
+    assert main(["hands", "add", str(file), "--out", str(toml), "--no-grasp", "--json"]) == 0
+    out, err = capsys.readouterr()
+    said = "The file has no torque limit: any joint; no speed limit: any joint. What motors can do"
+    assert json.loads(out)["unlimited"].startswith(said) and said in " ".join(err.split())
+    assert said in " ".join(toml.read_text().replace("#", " ").split())
 
 
 @pytest.mark.parametrize(

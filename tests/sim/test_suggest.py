@@ -322,3 +322,20 @@ def test_the_nearest_approach_is_that_of_the_postures(bare: HandModel) -> None:
     found = space.approach(2, ball, away, np.eye(3))
     rough = np.linalg.norm(space.tips[:, 2] - away, axis=-1).min() - 0.01
     assert rough - 0.06 < found < rough + 0.01
+
+
+@pytest.mark.parametrize("wrist", ["", '<joint name="wrist" axis="0 1 0"/>'])
+def test_fingers_are_as_long_as_from_their_own_first_joint(tmp_path: Path, wrist: str) -> None:
+    """What is below a wrist that moves them all counts for none; nor does a plate without a joint."""
+    fingers = "".join(
+        f'<body name="base{i}" pos="0.09 {y} 0">{RANGE}{BAR}<body name="plate{i}" pos="0.01 0 0">'
+        f'<body name="tip{i}" pos="0.03 0 0">{RANGE}{BAR}</body></body></body>'
+        for i, y in enumerate((-0.03, 0.03))
+    )
+    path = tmp_path / "hand.xml"
+    path.write_text(
+        '<mujoco><compiler angle="degree"/><worldbody><body name="arm"><body name="palm" '
+        f'pos="0.2 0 0">{wrist}{BAR}{fingers}</body></body></worldbody></mujoco>'
+    )
+    hand = HandModel.from_mjcf(path, {"tip0": (0.05, 0, 0), "tip1": (0.05, 0, 0)})
+    assert search_of(hand).workspace.reach == pytest.approx(0.01 + 0.03 + 0.05)
