@@ -170,7 +170,7 @@ class Add:
         grasps = suggestions(
             hand, objects, size=self.object_size, seed=self.seed, count=count, say=say
         )
-        best, turned = chosen(hand, config, grasps, self.turning, self.seed, say)
+        best, turned = chosen(hand, config, grasps, self.turning, self.seed, say, self.object_size)
         config = best.applied(config, hand.joint_names)
         if turned is not None:
             config, turned = further(config, best.object, turned, self.turning, self.seed)

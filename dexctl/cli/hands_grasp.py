@@ -34,10 +34,15 @@ class Turning:
 
     grasps: int = 5
     """Of each object; 0: none is tried, and the one of the highest score is taken."""
-    screening: float = 8.0
+    screening: float = 12.0
     """Simulated, each trial of every grasp, palm up [s]."""
     screening_trials: int = 4
     """Of every grasp there."""
+    rounds: int = 3
+    """How often the surroundings of those turned furthest are searched for better ones, which are
+    tried as those before; 0: not."""
+    around: int = 4
+    """Grasps whose surroundings are searched in each round, and grasps that are taken of each."""
     finalists: int = 4
     """Of all objects together, which are tried again palm up and palm down; of those that plain
     holding holds, as ``dexctl hands check`` wants it, where there are so many."""
@@ -47,8 +52,13 @@ class Turning:
     """Of each of these, each way up."""
 
     def __post_init__(self) -> None:
-        check_whole(self, grasps=0, finalists=1, trials=1, screening_trials=1)
+        check_whole(self, grasps=0, rounds=0, around=1, finalists=1, trials=1, screening_trials=1)
         check_numbers(self, positive=("screening", "seconds"))
+
+    @property
+    def screened_around(self) -> float:
+        """Simulated in all rounds, at most; each grasp's trials once [s]."""
+        return self.screening * self.rounds * self.around**2
 
 
 class Turned(NamedTuple):
@@ -157,6 +167,22 @@ def holds(config: HandConfig, name: str, seed: int) -> bool:
     return all(bool(check_holding(hand, name, palm, seed=seed).good) for palm in ("up", "down"))
 
 
+def nearby(
+    hand: HandModel, grasp: SuggestedGrasp, *, size: float | None, seed: int, count: int
+) -> list[SuggestedGrasp]:
+    """Grasps of the same object in the surroundings of one, that hold both ways; maybe none."""
+    from dexctl.sim import Scene
+
+    try:
+        found = Scene.suggest_grasp(
+            hand, grasp.object, object_size=size, seed=seed, count=count, tries=2 * count,
+            near=grasp,
+        )  # fmt: skip
+    except SimulationError:
+        return []
+    return [one for one in found[:count] if one.held_up and one.held_down]
+
+
 def chosen(
     hand: HandModel,
     config: HandConfig,
@@ -164,11 +190,21 @@ def chosen(
     how: Turning,
     seed: int,
     say: Callable[[str], None],
+    size: float | None = None,
 ) -> tuple[SuggestedGrasp, Turned | None]:
-    """Of the grasps that hold, the one that the gait turns furthest.
+    """Of the grasps that hold, and of those around them, the one that the gait turns furthest.
 
     Without trials of the gait, or where none turns, it is the first that holds; where none holds,
     they are compared all the same.
+
+    Args:
+        hand: the hand.
+        config: its configuration, without a grasp.
+        grasps: suggested ones.
+        how: they are tried.
+        seed: of the trials and of the searches around the best.
+        say: told what is going on.
+        size: width of the object that is asked for [m]; None: any.
     """
 
     def keeps(grasp: SuggestedGrasp) -> bool:
@@ -181,20 +217,32 @@ def chosen(
         bar.update(task, advance=len(palms) * seconds)
         return made
 
+    def screened(some: Sequence[SuggestedGrasp]) -> list[tuple[float, SuggestedGrasp]]:
+        """Those that are turned, a little at least, and not let go, with their values."""
+        able = [one for one in some if len(one.fingers) >= LEAST_FINGERS]
+        tried = [(trial(g, ("up",), how.screening_trials, how.screening).value, g) for g in able]
+        return [(value, grasp) for value, grasp in tried if value > 0]
+
+    def furthest(tried: list[tuple[float, SuggestedGrasp]]) -> list[tuple[float, SuggestedGrasp]]:
+        return sorted(tried, key=lambda one: -one[0])
+
     best: tuple[SuggestedGrasp, Turned] | None = None
     able = [one for one in grasps if len(one.fingers) >= LEAST_FINGERS] if how.grasps else []
     if able:
-        say(f"turning {len(able)} grasps with the coordinated gait")
-        screening = how.screening * len(able)
-        most = 2 * how.seconds * min(how.finalists, len(able))
+        say(f"turning {len(able)} grasps with the coordinated gait, and grasps around the best")
+        first = how.screening * len(able) + how.screened_around
         with progress(notes()) as bar:
-            task = bar.add_task("turning", total=screening + most)
-            first = [trial(one, ("up",), how.screening_trials, how.screening).value for one in able]
-            order = np.argsort(first, kind="stable")[::-1]
-            turning = [able[i] for i in order if first[i]]  # a little at least, and not let go
-            held = list(islice(filter(keeps, turning), how.finalists))
-            finals = held or turning[: how.finalists]
-            bar.update(task, total=screening + 2 * how.seconds * len(finals))
+            task = bar.add_task("turning", total=first + 2 * how.seconds * how.finalists)
+            turning = furthest(screened(able))
+            for k in range(how.rounds):
+                for _, grasp in turning[: how.around]:
+                    more = nearby(hand, grasp, size=size, seed=seed + 1 + k, count=how.around)
+                    turning = [*turning, *screened(more)]
+                turning = furthest(turning)
+            order = [grasp for _, grasp in turning]
+            held = list(islice(filter(keeps, order), how.finalists))
+            finals = held or order[: how.finalists]
+            bar.update(task, completed=first, total=first + 2 * how.seconds * len(finals))
             for grasp in finals:
                 found = trial(grasp, ("up", "down"), how.trials, how.seconds)
                 say(f"{grasp.note}; {found.note}")

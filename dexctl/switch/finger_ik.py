@@ -1,25 +1,28 @@
 """FingerIK: where must a finger's joints be for its tip to be at a given point?
 
-This is mink's door into the switch room. A controller follows its finger's Jacobian for a small
-step; this is for far placements, where such steps run into a joint limit and stay there.
+A controller follows its finger's Jacobian for a small step; this is for far placements, where such
+steps run into a joint limit and stay there.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dexctl.exceptions import HandModelError, InvalidInput
+from dexctl.exceptions import InvalidInput
+from dexctl.grasp.box_qp import solve_box_batch
 from dexctl.hand import HandModel
-from dexctl.state import Floats
+from dexctl.state import Bools, Floats
 from dexctl.switch.chain import Indices, check_finger, own_joints, spread
 from dexctl.validation import check_vector
 
 _ITERATIONS_PER_START = 25
 _DAMPING = 1e-8  # m^2/rad^2: keeps steps finite where the finger is straight
+_FAR = 1.0  # of the squared distance, more of the same: the linear model is worse from afar
 _MAX_STEP = 0.5  # rad: the linear model of a step holds no further than this
+_ROUND_OFF = 1e-12  # of multipliers
 
 
 class IKResult(NamedTuple):
@@ -42,38 +45,22 @@ class IKResult(NamedTuple):
 class FingerIK:
     """Inverse kinematics of one finger at a time, position only, within joint limits.
 
-    Each step is mink's quadratic program: a frame task on the fingertip, joint limits as
-    inequalities, every joint that is not the finger's own frozen by an equality, and joints that
-    follow another kept with it by their equality. The first start is where the finger is; if that
-    gets stuck, others follow, spread over the finger's joint range, the same every time.
+    Each step is a quadratic program: the damped least squares of Levenberg and Marquardt over the
+    finger's own joints (Sugihara, "Solvability-unconcerned inverse kinematics by the
+    Levenberg-Marquardt method", 2011), with the joint limits and the length of a step as bounds.
+    Joints that follow another go with it, and all others stay. The first start is where the finger
+    is; if that gets stuck, others follow, spread over the finger's joint range, the same every
+    time.
 
     Args:
-        hand: the hand; its file must be an MJCF. Other bodies in it stay where the file has them.
-
-    Raises:
-        InvalidInput: the hand comes from a file that is not an MJCF.
-        HandModelError: a fingertip's body is no longer found in the file.
+        hand: the hand.
     """
 
     def __init__(self, hand: HandModel) -> None:
-        import mink
-        import mujoco
-
         self.hand = hand
-        spec = _read(hand, mujoco)
-        self._sites = [f"dexctl fingertip {i}" for i in range(hand.n_fingers)]
-        for finger, site in enumerate(self._sites):
-            _tip_body(hand, finger, spec).add_site(name=site, pos=hand.fingertip_offsets[finger])
-        self._model = spec.compile()
-        self._configuration = mink.Configuration(self._model)
-        names = [self._model.joint(j).name or f"joint {j}" for j in range(self._model.njnt)]
-        self._joint = np.array([names.index(name) for name in hand.joint_names])
-        self._address = self._model.jnt_qposadr[self._joint]
-        self._couplings = _couplings(self._model, mujoco)
-        self._problems: dict[int, _Problem] = {}
-
-    def __reduce__(self) -> tuple:
-        return type(self), (self.hand,)  # the compiled model is rebuilt, not pickled
+        self._own = [own_joints(hand, finger) for finger in range(hand.n_fingers)]
+        self._lower = np.maximum(hand.lower, -np.pi)
+        self._upper = np.minimum(hand.upper, np.pi)
 
     def solve(
         self,
@@ -89,7 +76,7 @@ class FingerIK:
         Args:
             q: joint positions to start from, ``(d,)`` [rad]; the other joints stay there.
             finger: index of the finger.
-            target_position: where the fingertip is wanted, world frame, ``(3,)`` [m].
+            target_position: where the fingertip is wanted, hand frame, ``(3,)`` [m].
             tolerance: distance from the target that is close enough [m].
             max_iterations: most quadratic programs to solve, over all starts.
 
@@ -98,7 +85,7 @@ class FingerIK:
 
         Raises:
             InvalidInput: q or target of another size or not finite, a tolerance or a number of
-                iterations that is not above 0.
+                iterations that is not above 0, a finger without a joint of its own.
             UnknownName: the hand has no such finger.
         """
         finger = check_finger(self.hand, finger)
@@ -108,160 +95,78 @@ class FingerIK:
             raise InvalidInput(f"tolerance is {tolerance}; expected metres above 0")
         if max_iterations < 1:
             raise InvalidInput(f"max_iterations is {max_iterations}; expected at least 1")
-        if finger not in self._problems:
-            self._problems[finger] = _Problem(self, finger)
-        problem = self._problems[finger]
-
+        if not len(self._own[finger]):
+            raise InvalidInput(
+                f"finger {self.hand.fingertip_names[finger]!r} has no joint of its own: all move "
+                "other fingertips too"
+            )
         best, used, start = IKResult(q, np.inf, False, 0), 0, 0
         while used < max_iterations and not best.converged:
             budget = min(_ITERATIONS_PER_START, max_iterations - used)
-            found, count = problem.descend(problem.start(q, start), target, tolerance, budget)
+            begin = self._start(q, finger, start)
+            found, error, count = self._descend(begin, finger, target, tolerance, budget)
             used, start = used + count, start + 1
-            error = float(np.linalg.norm(self.hand.fingertip_positions(found)[finger] - target))
             if error < best.error:
                 best = IKResult(found, error, error <= tolerance, used)
         return best._replace(iterations=used)
 
-    def _qpos(self, q: Floats) -> Floats:
-        """MuJoCo's positions for ``q``: other bodies at rest, followers with their masters."""
-        qpos = self._model.qpos0.copy()
-        qpos[self._address] = q
-        for _ in self._couplings:  # once for each link that a chain of followers could have
-            for _, follower, master, scale, offset in self._couplings:
-                qpos[follower] = offset + scale * (qpos[master] if master >= 0 else 0.0)
-        return qpos
-
-
-class _Problem:
-    """mink's tasks, limits and constraints for one finger."""
-
-    def __init__(self, ik: FingerIK, finger: int) -> None:
-        import mink
-
-        self._ik, model = ik, ik._model
-        self._own = own_joints(ik.hand, finger)
-        if not len(self._own):
-            raise InvalidInput(
-                f"finger {ik.hand.fingertip_names[finger]!r} has no joint of its own: all move "
-                "other fingertips too"
-            )
-        self._site = ik._sites[finger]
-        free, equalities = _moved(ik, self._own)
-        frozen = sorted(set(range(model.nv)) - free)
-        self._task = mink.FrameTask(
-            self._site, "site", position_cost=1.0, orientation_cost=0.0, lm_damping=1.0
-        )
-        self._constraints: list[Any] = []
-        if frozen:
-            self._constraints.append(mink.DofFreezingTask(model, frozen))
-        if equalities:
-            self._constraints.append(mink.EqualityConstraintTask(model, 1.0, equalities))
-        limit = mink.ConfigurationLimit(model, gain=1.0)
-        others = np.setdiff1d(np.arange(model.nq), ik._address[self._own])
-        # a joint that may not move would make the program infeasible where it is beyond its limit
-        limit.lower[others], limit.upper[others] = -1e10, 1e10
-        speed: dict[Any, float] = {int(j): _MAX_STEP for j in ik._joint[self._own]}
-        self._limits = [limit, mink.VelocityLimit(model, speed)]
-
-    def start(self, q: Floats, number: int) -> Floats:
+    def _start(self, q: Floats, finger: int, number: int) -> Floats:
         """The ``number``-th configuration to start from; the first is ``q`` within its limits."""
-        lower = np.maximum(self._ik.hand.lower[self._own], -np.pi)
-        upper = np.minimum(self._ik.hand.upper[self._own], np.pi)
-        q = q.copy()
+        own, q = self._own[finger], q.copy()
+        lower, upper = self._lower[own], self._upper[own]
         if number == 0:
-            q[self._own] = np.clip(q[self._own], lower, upper)
+            q[own] = self.hand.clip(q)[own]
         else:
-            q[self._own] = lower + (upper - lower) * spread(number, len(self._own))[-1]
+            q[own] = lower + (upper - lower) * spread(number, len(own))[-1]
         return q
 
-    def descend(
-        self, q: Floats, target: Floats, tolerance: float, budget: int
-    ) -> tuple[Floats, int]:
-        """Take up to ``budget`` steps from ``q``; the configuration reached, and the number."""
-        import mink
-        import qpsolvers
-
-        configuration = self._ik._configuration
-        configuration.update(self._ik._qpos(q))
-        previous = np.inf
-        for count in range(budget):
-            pose = configuration.get_transform_frame_to_world(self._site, "site")
-            error = float(np.linalg.norm(pose.translation() - target))
-            # half the tolerance: the answer is judged once more, by pinocchio
-            if error <= 0.5 * tolerance or abs(previous - error) < 1e-3 * tolerance:
-                return self._joints(q), count
+    def _descend(
+        self, q: Floats, finger: int, target: Floats, tolerance: float, budget: int
+    ) -> tuple[Floats, float, int]:
+        """Take up to ``budget`` steps from ``q``: what is reached, how far off, and the number."""
+        own, q, previous = self._own[finger], q.copy(), np.inf
+        lower, upper = self.hand.lower[own], self.hand.upper[own]
+        for count in range(budget + 1):
+            configuration = self.hand.configuration(q)
+            tips = configuration.fingertip_position
+            off = target - tips[finger]
+            error = float(np.linalg.norm(off))
+            settled = error <= tolerance or abs(previous - error) < 1e-3 * tolerance
+            if settled or count == budget:
+                return q, error, count
             previous = error
-            # the target takes the tip's present orientation, so that the task's error, a
-            # logarithm of the pose, is the plain difference of positions
-            goal = mink.SE3.from_rotation_and_translation(pose.rotation(), target)
-            self._task.set_target(goal)
-            problem = mink.build_ik(
-                configuration,
-                [self._task],
-                1.0,
-                damping=_DAMPING,
-                limits=self._limits,
-                constraints=self._constraints or None,
+            jacobian = configuration.contact_jacobian(tips)[finger][:, own]
+            hessian = jacobian.T @ jacobian
+            hessian.flat[:: len(own) + 1] += _DAMPING + _FAR * error**2
+            step = _bounded(
+                hessian,
+                jacobian.T @ off,
+                np.maximum(lower - q[own], -_MAX_STEP),
+                np.minimum(upper - q[own], _MAX_STEP),
             )
-            solution = qpsolvers.solve_problem(problem, solver="daqp")
-            if not solution.found or solution.x is None:
-                return self._joints(q), count + 1
-            configuration.integrate_inplace(solution.x, 1.0)
-        return self._joints(q), budget
-
-    def _joints(self, q: Floats) -> Floats:
-        """``q`` with the finger's own joints as they are now, within their limits."""
-        reached = q.copy()
-        reached[self._own] = self._ik._configuration.q[self._ik._address[self._own]]
-        reached[self._own] = self._ik.hand.clip(reached)[self._own]
-        return reached
+            q[own] = np.clip(q[own] + step, lower, upper)
+        raise AssertionError  # the last pass returns
 
 
-def _read(hand: HandModel, mujoco: Any) -> Any:
-    """The hand's file, to be added to and compiled."""
-    if hand.path.suffix.lower() == ".urdf":
-        raise InvalidInput(f"hand is from {hand.path}; FingerIK needs a hand from an MJCF file")
-    try:
-        return mujoco.MjSpec.from_file(str(hand.path))
-    except ValueError as error:
-        raise HandModelError(f"{hand.path}: MuJoCo cannot read it: {error}") from None
+def _bounded(hessian: Floats, linear: Floats, lower: Floats, upper: Floats) -> Floats:
+    """The least of x'Hx/2 - b'x within bounds ``(k,)``."""
+    anywhere = np.asarray(np.linalg.solve(hessian, linear), float)
+    if (lower <= anywhere).all() and (anywhere <= upper).all():
+        return anywhere
 
+    def solve(_: Indices, free: Bools, held: Floats) -> Floats:
+        inside, x = free[0], held[0].copy()
+        rest = linear - hessian @ x
+        x[inside] = np.linalg.solve(hessian[np.ix_(inside, inside)], rest[inside])
+        return np.where(inside, x, hessian @ x - linear)[None]
 
-def _tip_body(hand: HandModel, finger: int, spec: Any) -> Any:
-    body = spec.body(hand.fingertip_bodies[finger])
-    if body is None:  # a body without a name, found through the site on it
-        site = spec.site(hand.fingertip_names[finger])
-        body = None if site is None else site.parent
-    if body is None:
-        raise HandModelError(f"{hand.path}: no body {hand.fingertip_bodies[finger]!r} any more")
-    return body
-
-
-def _couplings(model: Any, mujoco: Any) -> list[tuple[int, int, int, float, float]]:
-    """(equality, follower's and master's position address, scale, offset); master -1: none."""
-    found = []
-    for e in range(model.neq):
-        if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e]:
-            continue
-        follower = int(model.jnt_qposadr[model.eq_obj1id[e]])
-        constant, scale = (float(x) for x in model.eq_data[e, :2])
-        offset, master = model.qpos0[follower] + constant, -1
-        if model.eq_obj2id[e] >= 0:
-            master = int(model.jnt_qposadr[model.eq_obj2id[e]])
-            offset -= scale * model.qpos0[master]
-        found.append((e, follower, master, scale, float(offset)))
-    return found
-
-
-def _moved(ik: FingerIK, own: Indices) -> tuple[set[int], list[int]]:
-    """Degrees of freedom that move with the finger's own joints, and the equalities that say so."""
-    model = ik._model
-    dof_of = {int(model.jnt_qposadr[j]): int(model.jnt_dofadr[j]) for j in range(model.njnt)}
-    moved = {int(address) for address in ik._address[own]}
-    equalities: list[int] = []
-    for _ in ik._couplings:
-        for equality, follower, master, _scale, _offset in ik._couplings:
-            if master in moved and equality not in equalities:
-                moved.add(follower)
-                equalities.append(equality)
-    return {dof_of[address] for address in moved}, equalities
+    scale = max(float(np.abs(linear).max()), _ROUND_OFF)
+    found, _ = solve_box_batch(
+        solve,
+        np.where(lower < upper, 0, 1)[None].astype(np.int8),
+        lower[None],
+        upper[None],
+        np.array([scale]),
+        np.array([_ROUND_OFF * scale]),
+    )
+    return found[0]

@@ -1,4 +1,4 @@
-"""Swings as joint angles over time: optimised with casadi, or through mink's inverse kinematics."""
+"""Swings as joint angles over time: optimised with casadi, or through inverse kinematics."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ import pytest
 import dexctl
 from dexctl.cli import hands_grasp
 from dexctl.cli.hands_add import damped, stiffened
-from dexctl.cli.hands_grasp import Turned, Turning, chosen, further, turned
+from dexctl.cli.hands_grasp import Turned, Turning, chosen, further, nearby, turned
 from dexctl.exceptions import InvalidInput
 from dexctl.hand_config import HandConfig, ServoConfig
 from dexctl.sim import Scene, SettleFailure, SuggestedGrasp
@@ -77,7 +77,7 @@ def test_the_grasp_that_turns_furthest_is_chosen(
     monkeypatch.setattr(hands_grasp, "turned", trial)
     monkeypatch.setattr(hands_grasp, "holds", lambda *_: True)
     grasps = [grasp_of(dex5, size) for size in rotation] + [grasp_of(dex5, 0.08, fingers=3)]
-    how = Turning(finalists=2, screening=5.0, screening_trials=3, seconds=20.0)
+    how = Turning(rounds=0, finalists=2, screening=5.0, screening_trials=3, seconds=20.0)
     said: list[str] = []
     best, found = chosen(dex5, dex5.config, grasps, how, seed=0, say=said.append)
     assert [one for one in asked if one[1] == ("up",)] == [(s, ("up",), 5.0) for s in rotation]
@@ -85,11 +85,41 @@ def test_the_grasp_that_turns_furthest_is_chosen(
     assert final == [(0.06, ("up", "down"), 20.0), (0.05, ("up", "down"), 20.0)]
     assert best.size == 0.05 and found is not None and found.held["down"] == 1.0
     assert counts == [3] * 4 + [8] * 2
-    assert said[0] == "turning 4 grasps with the coordinated gait" and len(said) == 3
+    assert said[0].startswith("turning 4 grasps with the coordinated gait") and len(said) == 3
     # without trials, and where no grasp has a finger to spare, the first is taken
     for few, settings in ((grasps, replace(how, grasps=0)), (grasps[4:], how)):
         best, found = chosen(dex5, dex5.config, few, settings, seed=0, say=said.append)
         assert best is few[0] and found is None
+
+
+def test_the_surroundings_of_those_turned_furthest_are_tried_too(
+    dex5: dexctl.HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wider is better here, so that each round ends 20 mm on from where it began."""
+    asked: list[tuple[float, float | None, int]] = []
+
+    def trial(config: HandConfig, name: str, palms: tuple[str, ...], *rest: Any) -> Turned:
+        size = config.object.size
+        assert size is not None
+        one = dict.fromkeys(palms, 1.0)
+        return Turned(one, dict.fromkeys(palms, size), one, 8, 9.0)
+
+    def nearby(
+        hand: dexctl.HandModel, grasp: SuggestedGrasp, *, size: float | None, seed: int, count: int
+    ) -> list[SuggestedGrasp]:
+        asked.append((round(grasp.size, 3), size, seed))
+        assert count == 2
+        return [grasp_of(hand, grasp.size + step) for step in (-0.01, 0.02)]
+
+    monkeypatch.setattr(hands_grasp, "turned", trial)
+    monkeypatch.setattr(hands_grasp, "holds", lambda *_: True)
+    monkeypatch.setattr(hands_grasp, "nearby", nearby)
+    grasps = [grasp_of(dex5, size) for size in (0.04, 0.06, 0.05)]
+    how = Turning(rounds=2, around=2, finalists=1)
+    best, found = chosen(dex5, dex5.config, grasps, how, 3, lambda _: None, 0.07)
+    assert best.size == pytest.approx(0.10) and found is not None
+    assert asked == [(0.06, 0.07, 4), (0.05, 0.07, 4), (0.08, 0.07, 5), (0.07, 0.07, 5)]
+    assert how.screened_around == 12.0 * 2 * 4
 
 
 @pytest.mark.parametrize(
@@ -126,7 +156,7 @@ def test_what_plain_holding_drops_is_not_chosen(
     monkeypatch.setattr(hands_grasp, "turned", trial)
     monkeypatch.setattr(hands_grasp, "holds", holds)
     grasps = [grasp_of(dex5, size) for size in (0.04, 0.05, 0.06)]
-    how = Turning(finalists=2)
+    how = Turning(rounds=0, finalists=2)
     best, found = chosen(dex5, dex5.config, grasps, how, seed=3, say=lambda _: None)
     assert best.size == taken and found is not None
     assert tuple(asked) == tried
@@ -135,6 +165,19 @@ def test_what_plain_holding_drops_is_not_chosen(
         dex5, dex5.config, grasps[::-1], replace(how, grasps=0), seed=3, say=lambda _: None
     )
     assert best.size == (max(keep) if keep else 0.06) and found is None
+
+
+def test_nearby_grasps_are_in_the_surroundings(four_fingers: dexctl.HandModel) -> None:
+    start = Scene.suggest_grasp(four_fingers, "sphere", count=1)[0]
+    found = nearby(four_fingers, start, size=None, seed=1, count=2)
+    assert 1 <= len(found) <= 2 and all(one.held_up and one.held_down for one in found)
+    for one in found:
+        assert 0 < np.linalg.norm(one.centre - start.centre) < 0.05
+        assert one.size == pytest.approx(start.size, rel=0.4) and one.size != start.size
+    asked = nearby(four_fingers, start, size=1.02 * start.size, seed=1, count=1)
+    assert all(one.size == 1.02 * start.size for one in asked)
+    away = start._replace(centre=start.centre + 5.0)
+    assert nearby(four_fingers, away, size=None, seed=1, count=2) == []
 
 
 def test_a_grasp_holds_as_the_check_of_a_hand_wants_it(dex5: dexctl.HandModel) -> None:

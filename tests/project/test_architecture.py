@@ -58,15 +58,14 @@ DOORS = {
     "pinocchio": ["dexctl/hand.py"],
     "proxsuite": ["dexctl/grasp/"],
     "casadi": ["dexctl/switch/"],
-    "mink": ["dexctl/switch/finger_ik.py"],
     "numba": ["dexctl/igm/compiled.py"],
-    # mink's models are MuJoCo's, so its door needs MuJoCo too
-    "mujoco": ["dexctl/sim/", "dexctl/description/", "dexctl/switch/finger_ik.py"],
+    "mujoco": ["dexctl/sim/", "dexctl/description/"],
     "mujoco_menagerie": ["dexctl/hands/"],
     # environments, configurations and trained policies do without torch
     "torch": ["learning/algorithms/", "learning/training/"],
     "gymnasium": ["learning/__init__.py", "learning/envs/"],
-    # a peer that tests and benchmarks compare with
+    # peers that tests and benchmarks compare with
+    "mink": [],
     "stable_baselines3": [],
     "ray": ["dexctl/cluster.py"],
     "networkx": ["dexctl/planning/tree.py"],

@@ -326,7 +326,7 @@ def test_the_nearest_approach_is_that_of_the_postures(bare: HandModel) -> None:
 
 @pytest.mark.parametrize("wrist", ["", '<joint name="wrist" axis="0 1 0"/>'])
 def test_fingers_are_as_long_as_from_their_own_first_joint(tmp_path: Path, wrist: str) -> None:
-    """What is below a wrist that moves them all counts for none; nor does a plate without a joint."""
+    """A wrist that moves them all, and what is below it, is not theirs; a plate amid them is."""
     fingers = "".join(
         f'<body name="base{i}" pos="0.09 {y} 0">{RANGE}{BAR}<body name="plate{i}" pos="0.01 0 0">'
         f'<body name="tip{i}" pos="0.03 0 0">{RANGE}{BAR}</body></body></body>'

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dexctl.hands
-from dexctl.exceptions import HandModelError, InvalidInput, UnknownName
+from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel, random_configurations
 from dexctl.switch.chain import own_joints
-from dexctl.switch.finger_ik import FingerIK
+from dexctl.switch.finger_ik import FingerIK, _bounded
 
 
 @pytest.fixture(scope="module", params=["dex5", "four_fingers"])
@@ -165,17 +166,32 @@ def test_bad_input(ik: FingerIK):
         ik.solve(q, 0, [0, 0, 0], max_iterations=0)
 
 
-def test_hand_from_urdf_is_refused_and_a_lost_file_named(tmp_path):
-    urdf = tmp_path / "hand.urdf"
-    urdf.write_text(
-        '<robot name="r"><link name="base"/><link name="tip"/><joint name="j" type="revolute">'
-        '<parent link="base"/><child link="tip"/><limit lower="-1" upper="1"/></joint></robot>'
-    )
-    with pytest.raises(InvalidInput, match=r"hand\.urdf; FingerIK needs a hand from an MJCF"):
-        FingerIK(HandModel.from_urdf(urdf, ["tip"]))
-    path = tmp_path / "scene.xml"
-    path.write_text(SCENE)
-    hand = HandModel.from_mjcf(path, ["tip1"])
-    path.unlink()
-    with pytest.raises(HandModelError, match=r"scene\.xml: MuJoCo cannot read it"):
-        FingerIK(hand)
+RING = Path(__file__).resolve().parents[1] / "hands" / "ring.urdf"
+
+
+def test_a_hand_from_a_urdf_is_moved_as_well():
+    """No simulator reads the file: what swings go by is there for every hand."""
+    hand = HandModel.from_urdf(RING, [f"f{i}_tip" for i in range(1, 6)])
+    ik, (start, goal) = FingerIK(hand), random_configurations(hand, 2, 3)
+    for finger, target in enumerate(hand.fingertip_positions(goal)):
+        assert ik.solve(start, finger, target).converged
+
+
+def test_a_step_is_the_least_within_its_bounds():
+    """x'Hx/2 - b'x over a box: by its optimality conditions, some on bounds and some not."""
+    rng = np.random.default_rng(0)
+    held = 0
+    for _ in range(200):
+        root, linear = rng.normal(size=(4, 4)), rng.normal(size=4)
+        hessian = root @ root.T + 0.1 * np.eye(4)
+        lower, upper = -rng.uniform(0.0, 1.0, 4), rng.uniform(0.0, 1.0, 4)
+        lower[0] = upper[0] = 0.0  # a joint without room
+        x = _bounded(hessian, linear, lower, upper)
+        slope = hessian @ x - linear
+        assert ((lower <= x) & (x <= upper)).all()
+        inside = (x > lower + 1e-9) & (x < upper - 1e-9)
+        assert np.abs(slope[inside]).max(initial=0.0) < 1e-9
+        assert (slope[(x <= lower + 1e-9) & (lower < upper)] > -1e-9).all()
+        assert (slope[(x >= upper - 1e-9) & (lower < upper)] < 1e-9).all()
+        held += 3 - inside.sum()
+    assert 100 < held < 500

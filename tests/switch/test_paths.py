@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from dexctl.switch.landing import Landing, turned
 from dexctl.switch.paths import JointPath, SwingPaths
 
 Z = np.array([0.0, 0.0, 1.0])
+RING = Path(__file__).resolve().parents[1] / "hands" / "ring.urdf"
 CLEARANCE, RADIUS = 0.015, 0.014
 FINGER = 2
 
@@ -112,3 +114,21 @@ def test_paths_are_the_same_every_time(dex5, q, paths):
         found.append(np.concatenate([plan.q, far.q]))
     for other in found[1:]:
         np.testing.assert_array_equal(other, found[0])
+
+
+def test_a_hand_from_a_urdf_swings_as_well():
+    """By either way; the gait of such a hand ended amid a run where a swing was a far one."""
+    hand = HandModel.from_urdf(RING, [f"f{i}_tip" for i in range(1, 6)])
+    bent = np.tile([0.0, 0.4, -0.8], 5)
+    tip = hand.fingertip_positions(bent)[FINGER]
+    axis = np.array([1.0, 0.0, 0.0])  # its palm looks along x
+    outward = tip * [0, 1, 1] / np.linalg.norm(tip[1:])
+    there = turned(outward, 0.3, axis)
+    goal = Landing(tip * [1, 0, 0] + np.linalg.norm(tip[1:]) * there, -there)
+    paths = SwingPaths(hand, axis, CLEARANCE, speed=0.2)
+    before = goal.tip - CLEARANCE * goal.normal
+    far = paths.far(bent, FINGER, tip, before, np.array([0.13, 0.0, 0.0]), 0.0)
+    assert far is not None
+    np.testing.assert_allclose(tips(hand, bent, far, far.time)[-1], before, atol=5e-4)
+    planned = paths.planned(bent, FINGER, tip, tip - RADIUS * outward, -outward, goal)
+    assert planned is not None
