@@ -1,8 +1,10 @@
-"""Hands of the menagerie turn objects: in-grasp manipulation, and the coordinated gait.
+"""Hands turn objects: in-grasp manipulation, and the coordinated gait.
 
 The same controllers with no code of their own for any hand; what a hand holds, and where, stands in
-its toml. Needs the hands' files: a folder in DEXCTL_MENAGERIE, or the `mujoco-menagerie` package;
-hands that are missing are said so. `--resume` goes on with the rows that there are.
+its toml: in the one that ships, for the menagerie's hands, and in what `dexctl hands add FILE`
+writes when it runs as a process, for every hand. Needs the hands' files: a folder in
+DEXCTL_MENAGERIE, or the `mujoco-menagerie` package, and those that are named by their files; hands
+that are missing are said so. `--resume` goes on with the rows that there are.
 """
 
 from __future__ import annotations
@@ -10,8 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from adding import process
 from common import (
     FULL_TURN,
     PALMS,
@@ -28,7 +32,7 @@ from common import (
 )
 
 from dexctl import HandModel, controllers, hands
-from dexctl.exceptions import DexctlError, HandModelError
+from dexctl.exceptions import DexctlError
 from dexctl.sim import SceneConfig
 
 # objects of the width and mass, and at the place, that each hand's toml says
@@ -42,7 +46,8 @@ CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
     "in-grasp manipulation": ("igm", {}),
     (GAIT := "coordinated gait"): ("coordinated", {}),
 }
-OBJECTS = ("sphere", "cube")  # of a hand that is not among these
+UNSEEN = 1000  # after the first seed: of trials that `hands add` has not chosen by
+SHIPPED = "shipped"  # where the toml is from; or as `added` says it
 TARGET = FULL_TURN  # rotation that is counted [rad]
 KINDS = {"a sphere or cylinder": ("sphere", "cylinder"), "a cube": ("cube",)}  # asked for each
 
@@ -56,20 +61,30 @@ class Options(Settings):
     seconds: float = 60.0
     """Simulated, each trial."""
     hands: tuple[str, ...] = tuple(HELD)
-    """Which hands."""
+    """Names of hands, or files of hands."""
+    adds: int = 2
+    """How often `dexctl hands add` runs for each file, with seeds from the one after the first on:
+    with that one its search was worked out."""
     folder: Path | None = None
     """Folder that holds the hands' folders."""
 
 
+def added(seed: int) -> str:
+    """Where a toml is from that `dexctl hands add` wrote."""
+    return f"hands add, seed {seed}"
+
+
 def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
-    """What is asked of all hands, and a line for each hand, object and controller."""
-    out = over_hands(rows, seconds)
-    kinds = dict.fromkeys((row["hand"], row.get("object")) for row in rows)
-    for (hand, name), controller in product(kinds, CONTROLLERS):
+    """What is asked of all hands, and a line for each toml, object and controller."""
+    shipped = [row for row in rows if toml_of(row) == SHIPPED]
+    out = [*over_hands(shipped, seconds), *over_proposed(rows, seconds)]
+    kinds = dict.fromkeys((row["hand"], toml_of(row), row.get("object")) for row in rows)
+    for (hand, toml, name), controller in product(kinds, CONTROLLERS):
         mine = [
             row
             for row in rows
-            if (row["hand"], row.get("object"), row.get("controller")) == (hand, name, controller)
+            if (row["hand"], toml_of(row), row.get("object")) == (hand, toml, name)
+            and row.get("controller") == controller
         ]
         if not mine:
             continue
@@ -78,15 +93,47 @@ def figures_of(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
             f"{percent(row['reached_and_holding'])}, {percent(row['holding'])} hold"
             for row in mine
         ]
+        about = "" if toml == SHIPPED else f" ({toml})"
         out.append(
             Figure(
-                f"{hand}, {controller}, {name} of {1000 * mine[0]['width_m']:.0f} mm, "
+                f"{Path(hand).stem}{about}, {controller}, {name} of "
+                f"{1000 * mine[0]['width_m']:.0f} mm, "
                 f"{seconds:g} s: median rotation, trials that turn it once and still hold it, "
                 "trials that hold it",
                 "; ".join(parts),
             )
         )
     return out
+
+
+def toml_of(row: dict[str, Any]) -> str:
+    """Where the toml of a row is from; rows of before there was a choice are of those that ship."""
+    return row.get("toml", SHIPPED)
+
+
+def over_proposed(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
+    """Of how many hands the gait turns surely what `dexctl hands add` proposes, in every run."""
+    mine = [row for row in rows if toml_of(row) != SHIPPED and row.get("controller") == GAIT]
+    of = len({row["hand"] for row in mine})
+    out = []
+    for palm, least, wanted in (("up", 0.95, 2), ("down", 0.8, 1)):
+        good, said = 0, []
+        for hand in dict.fromkeys(row["hand"] for row in mine):
+            ours = [r for r in mine if (r["hand"], r["palm"]) == (hand, palm)]
+            good += bool(ours) and all(r["reached_and_holding"]["share"] >= least for r in ours)
+            each = ", ".join(percent(r["reached_and_holding"]) for r in ours)
+            said.append(f"{Path(hand).stem} {each}")
+        out.append(
+            Figure(
+                "hands with what `dexctl hands add` proposes that the coordinated gait turns once "
+                f"in {seconds:g} s and still holds in {100 * least:.0f} % of the trials, palm "
+                f"{palm}, in every run of it",
+                f"{good} of {of} ({'; '.join(said)})",
+                f"{wanted}",
+                good >= wanted,
+            )
+        )
+    return out if mine else []
 
 
 def over_hands(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
@@ -155,10 +202,19 @@ def over_kind(rows: list[dict[str, Any]], kind: str, seconds: float) -> list[Fig
     return out
 
 
-def measure(hand: HandModel, name: str, palm: str, given: Options) -> list[dict[str, Any]]:
-    """The rows of a hand with an object: one for each controller."""
-    about = {"hand": hand.name, "object": name, "palm": palm}
-    config = SceneConfig(hand=hand.name, object=(name,), gravity=palm)
+def measure(
+    hand: HandModel, source: str, about: dict[str, Any], given: Options, seed: int
+) -> list[dict[str, Any]]:
+    """The rows of a hand with an object: one for each controller.
+
+    Args:
+        hand: the hand.
+        source: its name, or its toml.
+        about: what the rows begin with: hand, toml, object and palm.
+        given: settings.
+        seed: of the first trial.
+    """
+    config = SceneConfig(hand=source, object=(about["object"],), gravity=about["palm"])
     try:
         (scene,) = config.scenes(hand)
         scene.settled  # noqa: B018 (the grasp is found here)
@@ -167,7 +223,7 @@ def measure(hand: HandModel, name: str, palm: str, given: Options) -> list[dict[
     rows = []
     for title, (kind, changes) in CONTROLLERS.items():
         controller = controllers.make(kind, hand, **changes)
-        trace = trials(controller, config, given.seconds, given.trials, seed=given.seed)
+        trace = trials(controller, config, given.seconds, given.trials, seed=seed)
         rows.append(
             {
                 **about,
@@ -180,14 +236,34 @@ def measure(hand: HandModel, name: str, palm: str, given: Options) -> list[dict[
     return rows
 
 
+def measure_added(name: str, file: Path, seed: int, given: Options) -> list[dict[str, Any]]:
+    """The rows of what `dexctl hands add` writes for a file, both ways up."""
+    about = {"hand": name, "toml": added(seed)}
+    with TemporaryDirectory() as folder:
+        toml = Path(folder) / "my_hand.toml"
+        done = process(["hands", "add", str(file), "--out", str(toml), "--seed", str(seed)])
+        about |= {"add_wall_s": done["wall_s"], "add_cpu_s": done["cpu_s"]}
+        if done["error"] is not None:
+            return [{**about, "error": done["error"]}]
+        hand = hands.load(toml)
+        held = hand.config.object
+        about |= {"centre_m": held.centre, "travel_rad": held.travel, "object": held.shape}
+        return [
+            row
+            for palm in PALMS
+            for row in measure(hand, str(toml), {**about, "palm": palm}, given, given.seed + UNSEEN)
+        ]
+
+
 def line(row: dict[str, Any]) -> list[str]:
     """A row for people."""
-    about = [row["hand"], row.get("object", ""), row.get("palm", "")]
+    about = [Path(row["hand"]).stem, toml_of(row), row.get("object", ""), row.get("palm", "")]
     if "rotation_rad" not in row:
-        return [*about, row.get("missing") or row["error"], *[""] * 5]
+        return [*about, row.get("missing") or row["error"], *[""] * 6]
     rotation = row["rotation_rad"]
     return [
         *about,
+        f"{1000 * row['width_m']:.0f} mm, {1000 * row['mass_kg']:.0f} g",
         row["controller"],
         f"{rotation['median']:.2f} ({rotation['p10']:.2f}-{rotation['p90']:.2f})",
         f"{row['time_held_s']['median']:.0f}",
@@ -200,14 +276,16 @@ def line(row: dict[str, Any]) -> list[str]:
 def main() -> None:
     given = settings(Options, __doc__)
     rows = earlier("hands_turning", given, ("seed", "trials", "seconds"))
-    done = {(row["hand"], row.get("object"), row.get("palm")) for row in rows}
+    done = {(row["hand"], toml_of(row), row.get("object"), row.get("palm")) for row in rows}
+    ran = {(row["hand"], toml_of(row)) for row in rows}
 
     def save(*, say: bool) -> None:
         table = {
-            "title": f"Hands of the menagerie, {given.seconds:g} s, {given.trials} trials each; "
-            "objects of 50 g; each controller with the settings that suit the hand",
+            "title": f"Hands turn objects, {given.seconds:g} s, {given.trials} trials each; by the "
+            "tomls that ship, and by what `dexctl hands add` writes",
             "header": [
-                "Hand", "Object", "Palm", "Controller", "Rotation: median (10-90 %) [rad]",
+                "Hand", "Toml", "Object", "Palm", "Width and mass", "Controller",
+                "Rotation: median (10-90 %) [rad]",
                 "Time held: median [s]", "Turned once before any drop (95 % interval)",
                 "Holding at the end (95 % interval)", "Time touching palm or links",
             ],
@@ -216,22 +294,30 @@ def main() -> None:
         figures = figures_of(rows, given.seconds)
         write("hands_turning", given, figures, [table], say=say, trials=rows)
 
+    def add(found: list[dict[str, Any]]) -> None:
+        rows.extend(found)
+        for row in found:
+            progress(" | ".join(line(row)))
+        save(say=False)
+
+    files: dict[str, Path] = {}
     for name in given.hands:
         try:
             hand = hands.load(name, folder=given.folder)
-        except HandModelError as error:
+        except DexctlError as error:
             progress(f"{name}: not here: {error}")
-            if (name, None, None) not in done:
+            if all(row["hand"] != name for row in rows):
                 rows.append({"hand": name, "missing": f"not here: {error}"})
             continue
-        for turned, palm in product(HELD.get(name, OBJECTS), PALMS):
-            if (name, turned, palm) in done:
-                continue
-            found = measure(hand, turned, palm, given)
-            rows += found
-            for row in found:
-                progress(" | ".join(line(row)))
-            save(say=False)
+        files[name] = hand.path
+        for turned, palm in product(HELD.get(name, ()), PALMS):
+            if (name, SHIPPED, turned, palm) not in done:
+                about = {"hand": name, "toml": SHIPPED, "object": turned, "palm": palm}
+                add(measure(hand, name, about, given, given.seed))
+    seeds = range(given.seed + 1, given.seed + 1 + given.adds)
+    for seed, (name, file) in product(seeds, files.items()):
+        if (name, added(seed)) not in ran:
+            add(measure_added(name, file, seed, given))
     save(say=True)
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 LEAST_FINGERS = 4
 """A gait lifts one finger while three hold."""
 _STAYS = 0.02  # how far from where it was grasped an object counts as held [m]
-_PALM_DOWN = 0.5  # what a turn palm down counts beside one palm up
+_COUNTS = {"up": 1.0, "down": 0.5}  # what a turn counts, by palm
 FURTHER = 0.45
 """`HeldObject.travel` that is tried beside the usual one [rad]; it suits the LEAP hand."""
 _WORTH = 1.1  # of the value without it, from which on it is taken
@@ -35,17 +35,17 @@ class Turning:
     grasps: int = 5
     """Of each object; 0: none is tried, and the one of the highest score is taken."""
     screening: float = 12.0
-    """Simulated, each trial of every grasp, palm up [s]."""
+    """Simulated, each trial of every grasp [s]."""
     screening_trials: int = 4
-    """Of every grasp there."""
+    """Of every grasp there, palm up, and where it is turned so, palm down."""
     rounds: int = 3
     """How often the surroundings of those turned furthest are searched for better ones, which are
     tried as those before; 0: not."""
     around: int = 4
     """Grasps whose surroundings are searched in each round, and grasps that are taken of each."""
     finalists: int = 4
-    """Of all objects together, which are tried again palm up and palm down; of those that plain
-    holding holds, as ``dexctl hands check`` wants it, where there are so many."""
+    """Of all objects together, which are tried again, longer; of those that plain holding holds,
+    as ``dexctl hands check`` wants it, where there are so many."""
     seconds: float = 40.0
     """Simulated, each trial of these [s]."""
     trials: int = 8
@@ -55,10 +55,9 @@ class Turning:
         check_whole(self, grasps=0, rounds=0, around=1, finalists=1, trials=1, screening_trials=1)
         check_numbers(self, positive=("screening", "seconds"))
 
-    @property
-    def screened_around(self) -> float:
-        """Simulated in all rounds, at most; each grasp's trials once [s]."""
-        return self.screening * self.rounds * self.around**2
+    def screened(self, grasps: int) -> float:
+        """Simulated with so many and with those around the best; all trials at once [s]."""
+        return len(_COUNTS) * self.screening * (grasps + self.rounds * self.around**2)
 
 
 class Turned(NamedTuple):
@@ -84,11 +83,10 @@ class Turned(NamedTuple):
 
         Links that touch count against them as drops do: they are what the next drop comes from.
         """
-        turns = {
-            palm: (self.held[palm] * self.clear[palm]) ** 2 * max(self.rotation[palm], 0.0)
-            for palm in self.held
-        }
-        return turns["up"] + _PALM_DOWN * turns.get("down", 0.0)
+        return sum(
+            _COUNTS[palm] * (held * self.clear[palm]) ** 2 * max(self.rotation[palm], 0.0)
+            for palm, held in self.held.items()
+        )
 
     @property
     def note(self) -> str:
@@ -219,9 +217,13 @@ def chosen(
 
     def screened(some: Sequence[SuggestedGrasp]) -> list[tuple[float, SuggestedGrasp]]:
         """Those that are turned, a little at least, and not let go, with their values."""
-        able = [one for one in some if len(one.fingers) >= LEAST_FINGERS]
-        tried = [(trial(g, ("up",), how.screening_trials, how.screening).value, g) for g in able]
-        return [(value, grasp) for value, grasp in tried if value > 0]
+        found = []
+        for grasp in some:
+            if len(grasp.fingers) >= LEAST_FINGERS:
+                up, down = (((palm,), how.screening_trials, how.screening) for palm in _COUNTS)
+                if value := trial(grasp, *up).value:  # else it need not be tried palm down
+                    found.append((value + trial(grasp, *down).value, grasp))
+        return found
 
     def furthest(tried: list[tuple[float, SuggestedGrasp]]) -> list[tuple[float, SuggestedGrasp]]:
         return sorted(tried, key=lambda one: -one[0])
@@ -230,9 +232,9 @@ def chosen(
     able = [one for one in grasps if len(one.fingers) >= LEAST_FINGERS] if how.grasps else []
     if able:
         say(f"turning {len(able)} grasps with the coordinated gait, and grasps around the best")
-        first = how.screening * len(able) + how.screened_around
+        first = how.screened(len(able))
         with progress(notes()) as bar:
-            task = bar.add_task("turning", total=first + 2 * how.seconds * how.finalists)
+            task = bar.add_task("turning", total=first + len(_COUNTS) * how.seconds * how.finalists)
             turning = furthest(screened(able))
             for k in range(how.rounds):
                 for _, grasp in turning[: how.around]:
@@ -242,9 +244,11 @@ def chosen(
             order = [grasp for _, grasp in turning]
             held = list(islice(filter(keeps, order), how.finalists))
             finals = held or order[: how.finalists]
-            bar.update(task, completed=first, total=first + 2 * how.seconds * len(finals))
+            bar.update(
+                task, completed=first, total=first + len(_COUNTS) * how.seconds * len(finals)
+            )
             for grasp in finals:
-                found = trial(grasp, ("up", "down"), how.trials, how.seconds)
+                found = trial(grasp, tuple(_COUNTS), how.trials, how.seconds)
                 say(f"{grasp.note}; {found.note}")
                 if found.value > (best[1].value if best else 0.0):
                     best = grasp, found

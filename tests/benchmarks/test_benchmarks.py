@@ -44,7 +44,7 @@ RUNS: dict[str, list[str]] = {
         *(*SHORT, "--hands", "dex5", "none.toml", "--objects", "sphere", "--searches", "1"),
         *("--adds", "1", "--told=--object sphere --turning.grasps 0"),
     ],
-    "hands_turning.py": [*SHORT, "--hands", "wonik_allegro"],
+    "hands_turning.py": [*SHORT, "--hands", "wonik_allegro", "--adds", "0"],
     "hands_learned.py": [*SHORT],
     "learner.py": [
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),

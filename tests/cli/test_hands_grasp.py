@@ -80,11 +80,12 @@ def test_the_grasp_that_turns_furthest_is_chosen(
     how = Turning(rounds=0, finalists=2, screening=5.0, screening_trials=3, seconds=20.0)
     said: list[str] = []
     best, found = chosen(dex5, dex5.config, grasps, how, seed=0, say=said.append)
-    assert [one for one in asked if one[1] == ("up",)] == [(s, ("up",), 5.0) for s in rotation]
+    for way in ("up", "down"):
+        assert [one for one in asked if one[1] == (way,)] == [(s, (way,), 5.0) for s in rotation]
     final = [one for one in asked if one[1] == ("up", "down")]
     assert final == [(0.06, ("up", "down"), 20.0), (0.05, ("up", "down"), 20.0)]
     assert best.size == 0.05 and found is not None and found.held["down"] == 1.0
-    assert counts == [3] * 4 + [8] * 2
+    assert counts == [3] * 8 + [8] * 2
     assert said[0].startswith("turning 4 grasps with the coordinated gait") and len(said) == 3
     # without trials, and where no grasp has a finger to spare, the first is taken
     for few, settings in ((grasps, replace(how, grasps=0)), (grasps[4:], how)):
@@ -119,7 +120,7 @@ def test_the_surroundings_of_those_turned_furthest_are_tried_too(
     best, found = chosen(dex5, dex5.config, grasps, how, 3, lambda _: None, 0.07)
     assert best.size == pytest.approx(0.10) and found is not None
     assert asked == [(0.06, 0.07, 4), (0.05, 0.07, 4), (0.08, 0.07, 5), (0.07, 0.07, 5)]
-    assert how.screened_around == 12.0 * 2 * 4
+    assert how.screened(3) == 2 * 12.0 * (3 + 2 * 4)
 
 
 @pytest.mark.parametrize(
