@@ -24,6 +24,7 @@ from common import (
     share,
     write,
 )
+from poses import LATE
 
 from dexctl.controllers import paced
 from dexctl.files import aside
@@ -115,11 +116,7 @@ CONDITIONS: dict[str, Condition] = {
     "limits-by-tracker": Condition(
         "limits, any way up, by a tracker 100 ms late, 3 mm, 0.05 rad",
         ("limits", "any-gravity"),
-        changes={
-            "tracker_latency": 0.1,
-            "tracker_position_noise": 0.003,
-            "tracker_rotation_noise": 0.05,
-        },
+        changes=LATE,
         every=True,
         hold=0.98,
     ),
@@ -135,6 +132,14 @@ CONDITIONS: dict[str, Condition] = {
     "all": Condition(
         "everything and limits, any way up",
         ("everything", "limits", "any-gravity"),
+        every=True,
+        hold=0.98,
+        speed=0.5,
+    ),
+    "all-by-tracker": Condition(
+        "everything and limits, any way up, by a tracker 100 ms late, 3 mm, 0.05 rad",
+        ("everything", "limits", "any-gravity"),
+        changes=LATE,
         every=True,
         hold=0.98,
         speed=0.5,

@@ -30,6 +30,7 @@ from common import (
     side_by_side,
     write,
 )
+from poses import LATE
 
 from learning.evaluation import open_subject
 
@@ -62,11 +63,11 @@ class Options(Settings):
     """Trials at a time; each takes a quarter of a core."""
     pose: Literal["touch", "tracked"] = "touch"
     """By what those know the object's pose who need it."""
-    tracker_latency: float = 0.1
+    tracker_latency: float = LATE["tracker_latency"]
     """How late a tracker is [s]."""
-    tracker_position_noise: float = 0.003
+    tracker_position_noise: float = LATE["tracker_position_noise"]
     """Standard deviation of each coordinate that it tells [m]."""
-    tracker_rotation_noise: float = 0.05
+    tracker_rotation_noise: float = LATE["tracker_rotation_noise"]
     """And of each of three angles [rad]."""
 
 

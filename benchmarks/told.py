@@ -24,6 +24,7 @@ from common import (
     share,
     write,
 )
+from poses import Pose, known
 
 from dexctl.settings import changed
 from dexctl.sim.objects import object_names
@@ -51,8 +52,9 @@ class Options(Settings):
     """That are told [rad/s]."""
     palms: tuple[Literal["up", "down", "any"], ...] = ("up", "down", "any")
     """Which way it looks, any: uniform on the sphere, for each episode."""
-    poses: tuple[Literal["tracked", "touch"], ...] = ("tracked", "touch")
-    """How the object's pose is known; by touch the first object alone."""
+    poses: tuple[Pose, ...] = ("tracked", "late", "touch")
+    """How the object's pose is known; late: by a tracker 100 ms late, 3 mm and 0.05 rad off. So,
+    and by touch, the first object alone, at the speed in the middle."""
     trials: int = 96
     """Episodes of each."""
     seconds: float = 60.0
@@ -67,7 +69,7 @@ class Asked(NamedTuple):
     object: str
     speed: float
     palm: str
-    pose: str
+    pose: Pose
 
 
 def wanted(given: Options) -> list[Asked]:
@@ -99,7 +101,7 @@ def measure(subject: Subject, asked: Asked, given: Options) -> dict[str, Any]:
             "object": asked.object,
             "gravity": "up" if any_way else asked.palm,
             "gravity_tilt": pi if any_way else 0.0,
-            "object_pose": asked.pose,
+            **known(asked.pose),
             "episodes": given.trials,
             "seconds": given.seconds,
             "seed": given.seed,

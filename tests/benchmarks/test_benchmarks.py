@@ -166,7 +166,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int | None]:
 def test_every_script_is_run_here() -> None:
     scripts = {path.name for path in FOLDER.glob("*.py")} - {
         "common.py", "readme.py", "learner_profile.py", "learning_curves.py", "sides.py",
-        "stock.py", "judo_side.py", "adding.py",
+        "stock.py", "judo_side.py", "adding.py", "poses.py",
     }  # fmt: skip
     assert scripts == set(RUNS)
 
