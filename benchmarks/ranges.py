@@ -6,6 +6,7 @@ import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,11 @@ VARIED: dict[str, tuple[str, float, tuple[float, ...]]] = {
     "touch_dropout_range": ("touch not felt [%]", 1e2, (0.0, 0.1, 0.2, 0.4)),
     "push_force": ("pushes [N]", 1.0, (0.0, 0.5, 1.0, 2.0)),
     "gravity_turning_range": ("gravity turns at [rad/s]", 1.0, (0.0, 0.1, 0.2, 0.4)),
+    "tracker_latency": ("a tracker is late by [ms]", 1e3, (0.0, 0.1, 0.2, 0.3)),
+    "tracker_position_noise": ("and off by [mm]", 1e3, (0.0, 0.003, 0.006, 0.012)),
+    "tracker_rotation_noise": ("and by [rad]", 1.0, (0.0, 0.05, 0.1, 0.2)),
 }
+TRACKER = [name for name in VARIED if name.startswith("tracker_")]
 COLUMNS = 4
 LINES = {"up": "-", "down": (0, (4, 2))}
 MARKERS = "os^vDP"  # of one subject each: where curves lie on each other, all are seen
@@ -69,8 +74,9 @@ class Options(Settings):
     """Episodes for each level, object and palm direction."""
     seconds: float = 30.0
     """Of each."""
-    who: tuple[str, ...] = ("dex5-easy-any", "dex5-robust", "coordinated")
-    """Policies, by name or file, and controllers."""
+    who: tuple[str, ...] = ("dex5-easy-any", "dex5-robust", "coordinated", "dex5-seen")
+    """Policies, by name or file, and controllers; the tracker's settings are varied for those that
+    are told where the object is."""
     object: str = "cube"
     """Which."""
     varied: tuple[str, ...] = tuple(VARIED)
@@ -103,6 +109,12 @@ def key_of(row: dict[str, Any]) -> tuple[str, str, str, float]:
     return row["setting"], row["who"], row["palm"], row["level"]
 
 
+def is_told(who: str) -> bool:
+    """Whether somebody is told where the object is."""
+    trained = open_subject(who).trained
+    return trained is not None and "object_position" in trained.env.parts
+
+
 def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """A panel for each setting: the share of episodes that hold, by its level."""
     names = [name for name in VARIED if any(row["setting"] == name for row in rows)]
@@ -116,13 +128,12 @@ def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
             panel.set_visible(False)
         for panel, name in zip(axes.flat, names, strict=False):
             label, factor, _ = VARIED[name]
-            for i, who in enumerate(subjects):
-                for palm, style in LINES.items():
-                    mine = [
-                        (factor * row["level"], 100 * row["holding"]["share"])
-                        for row in rows
-                        if key_of(row)[:3] == (name, who, palm)
-                    ]
+            for (i, who), (palm, style) in product(enumerate(subjects), LINES.items()):
+                if mine := [
+                    (factor * row["level"], 100 * row["holding"]["share"])
+                    for row in rows
+                    if key_of(row)[:3] == (name, who, palm)
+                ]:
                     panel.plot(
                         *np.array(sorted(mine)).reshape(-1, 2).T,
                         color=finger_colour(i),
@@ -181,10 +192,12 @@ def main() -> None:
     given = settings(Options, __doc__)
     check_chosen("setting", given.varied, VARIED)
     rows = {key_of(row): row for row in earlier("ranges", given, (*FIXED, "object"))}
+    told = {who for who in given.who if is_told(who)}
     order = [
         (name, who, palm, level)
         for name in given.varied
         for who in given.who
+        if who in told or name not in TRACKER
         for palm in LINES
         for level in VARIED[name][2]
     ]
