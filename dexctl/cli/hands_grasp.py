@@ -25,6 +25,7 @@ _STAYS = 0.02  # how far from where it was grasped an object counts as held [m]
 _COUNTS = {"up": 1.0, "down": 0.5}  # what a turn counts, by palm
 FURTHER = 0.45
 """`HeldObject.travel` that is tried beside the usual one [rad]; it suits the LEAP hand."""
+_HALF = 0.5  # of the value of those whose surroundings are searched, palm up alone
 _WORTH = 1.1  # of the value without it, from which on it is taken
 
 
@@ -38,7 +39,7 @@ class Turning:
     """Simulated, each trial of every grasp [s]."""
     screening_trials: int = 4
     """Of every grasp there, palm up, and where it is turned so, palm down."""
-    rounds: int = 3
+    rounds: int = 4
     """How often the surroundings of those turned furthest are searched for better ones, which are
     tried as those before; 0: not."""
     around: int = 4
@@ -215,14 +216,22 @@ def chosen(
         bar.update(task, advance=len(palms) * seconds)
         return made
 
-    def screened(some: Sequence[SuggestedGrasp]) -> list[tuple[float, SuggestedGrasp]]:
-        """Those that are turned, a little at least, and not let go, with their values."""
+    def screened(
+        some: Sequence[SuggestedGrasp], least: float
+    ) -> list[tuple[float, SuggestedGrasp]]:
+        """Those that are turned, a little at least, and not let go, with their values.
+
+        What comes to less than ``least`` palm up is not tried palm down, where turns count less.
+        """
         found = []
         for grasp in some:
             if len(grasp.fingers) >= LEAST_FINGERS:
                 up, down = (((palm,), how.screening_trials, how.screening) for palm in _COUNTS)
-                if value := trial(grasp, *up).value:  # else it need not be tried palm down
-                    found.append((value + trial(grasp, *down).value, grasp))
+                value = trial(grasp, *up).value
+                if value > least:
+                    value += trial(grasp, *down).value
+                if value:
+                    found.append((value, grasp))
         return found
 
     def furthest(tried: list[tuple[float, SuggestedGrasp]]) -> list[tuple[float, SuggestedGrasp]]:
@@ -235,11 +244,12 @@ def chosen(
         first = how.screened(len(able))
         with progress(notes()) as bar:
             task = bar.add_task("turning", total=first + len(_COUNTS) * how.seconds * how.finalists)
-            turning = furthest(screened(able))
+            turning = furthest(screened(able, 0.0))
             for k in range(how.rounds):
-                for _, grasp in turning[: how.around]:
+                parents = turning[: how.around]
+                for _, grasp in parents:
                     more = nearby(hand, grasp, size=size, seed=seed + 1 + k, count=how.around)
-                    turning = [*turning, *screened(more)]
+                    turning = [*turning, *screened(more, _HALF * parents[-1][0])]
                 turning = furthest(turning)
             order = [grasp for _, grasp in turning]
             held = list(islice(filter(keeps, order), how.finalists))

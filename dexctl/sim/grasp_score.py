@@ -76,7 +76,7 @@ class Ranked(NamedTuple):
     score: tuple[GraspScore, ...]
 
 
-def ranked(search: GraspSearch, placements: int = 240, keep: int = 48) -> Ranked | None:
+def ranked(search: GraspSearch, placements: int, keep: int = 48) -> Ranked | None:
     """The best combinations of contacts that a search finds, best first; None without any.
 
     Those in which links of the hand cross each other are left out.

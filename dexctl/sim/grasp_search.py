@@ -130,7 +130,7 @@ class GraspSearch:
     seed: int = 0
     near: Placement | None = None
 
-    def run(self, placements: int = 240, keep: int = 48) -> Contacts | None:
+    def run(self, placements: int, keep: int = 48) -> Contacts | None:
         """The best ``keep`` combinations, best first; None where no place is in reach."""
         rng = np.random.default_rng(self.seed)
         found = self._explore(self.drawn(placements, rng), rng)

@@ -39,6 +39,7 @@ _DRIFT = 0.01  # of the object in that time, at most [m]
 _OPENING = 0.03  # the open fingertips are so far from the object [m]
 _FAR = (0.0, 0.0, 10.0)  # where the object is out of the way [m]
 PALMS = ("up", "down")
+_PLACEMENTS, _NEARBY = 240, 80  # places that are looked at, all over and near a grasp
 _REACH = (0.15, 0.45)  # least and most that is written down of how far a finger can swing [rad]
 
 
@@ -152,7 +153,7 @@ def suggest(
     search = _search(hand, name, object_size, grasp_centre, wanted, seed, options, near)
     if why := flat_fingers(search):
         raise SimulationError(f"{hand.name}: no grasp of a {name}: {why}")
-    best = ranked(search)
+    best = ranked(search, _PLACEMENTS if near is None else _NEARBY)
     if best is None or not len(best.score):
         needed = min(LEAST_FINGERS, hand.n_fingers)
         raise SimulationError(

@@ -96,12 +96,18 @@ def test_the_grasp_that_turns_furthest_is_chosen(
 def test_the_surroundings_of_those_turned_furthest_are_tried_too(
     dex5: dexctl.HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Wider is better here, so that each round ends 20 mm on from where it began."""
+    """Wider is better here, so that each round ends 20 mm on from where it began.
+
+    What is far behind palm up is not tried palm down.
+    """
     asked: list[tuple[float, float | None, int]] = []
+    small: list[tuple[str, ...]] = []
 
     def trial(config: HandConfig, name: str, palms: tuple[str, ...], *rest: Any) -> Turned:
         size = config.object.size
         assert size is not None
+        if size < 0.01:
+            small.append(tuple(palms))
         one = dict.fromkeys(palms, 1.0)
         return Turned(one, dict.fromkeys(palms, size), one, 8, 9.0)
 
@@ -110,7 +116,7 @@ def test_the_surroundings_of_those_turned_furthest_are_tried_too(
     ) -> list[SuggestedGrasp]:
         asked.append((round(grasp.size, 3), size, seed))
         assert count == 2
-        return [grasp_of(hand, grasp.size + step) for step in (-0.01, 0.02)]
+        return [grasp_of(hand, size) for size in (0.1 * grasp.size, grasp.size + 0.02)]
 
     monkeypatch.setattr(hands_grasp, "turned", trial)
     monkeypatch.setattr(hands_grasp, "holds", lambda *_: True)
@@ -120,6 +126,7 @@ def test_the_surroundings_of_those_turned_furthest_are_tried_too(
     best, found = chosen(dex5, dex5.config, grasps, how, 3, lambda _: None, 0.07)
     assert best.size == pytest.approx(0.10) and found is not None
     assert asked == [(0.06, 0.07, 4), (0.05, 0.07, 4), (0.08, 0.07, 5), (0.07, 0.07, 5)]
+    assert small == [("up",)] * 4
     assert how.screened(3) == 2 * 12.0 * (3 + 2 * 4)
 
 
