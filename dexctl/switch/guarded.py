@@ -68,6 +68,8 @@ class GuardedSwitch:
         own_rows = np.take_along_axis(self.own_joints, hand.finger_joints, axis=1)
         self._own_rows = own_rows[..., None]
         self._swings = SwingPaths(hand, axis, config.clearance, config.carry_speed)
+        if config.path == "planned":
+            self._swings.prepare()
         self.start(0)
 
     def start(self, count: int) -> None:

@@ -65,6 +65,14 @@ class SwingPaths:
         self._clearance = clearance
         self._speed = speed
 
+    def prepare(self) -> None:
+        """Build the planner of swings, so that a hand it is not for is refused before it moves.
+
+        Raises:
+            InvalidInput: a finger has joints that follow others.
+        """
+        _ = self._planner
+
     @cached_property
     def _planner(self) -> SwingPlanner:
         return SwingPlanner(self._hand, clearance=self._clearance, pretouch=0.4 * self._clearance)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import dexctl.hands
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.hand import HandModel, random_configurations
+from dexctl.switch import GuardedSwitch, GuardedSwitchConfig
 from dexctl.switch.chain import own_joints
 from dexctl.switch.planner import SwingPlan, SwingPlanner
 from dexctl.switch.swing_problem import SwingProblem, SwingShape
@@ -336,6 +337,11 @@ def test_joints_that_follow_others_are_refused(tmp_path):
     )
     with pytest.raises(InvalidInput, match="'l' .*follow others"):
         SwingPlanner(HandModel.from_mjcf(path, ["l"]))
+    # and by a controller that plans, before it moves
+    hand, axis = HandModel.from_mjcf(path, ["l"]), np.array([0.0, 0.0, 1.0])
+    GuardedSwitch(hand, axis, GuardedSwitchConfig(), 0.05)
+    with pytest.raises(InvalidInput, match="'l' .*follow others"):
+        GuardedSwitch(hand, axis, GuardedSwitchConfig(path="planned"), 0.05)
 
 
 @pytest.mark.parametrize(
