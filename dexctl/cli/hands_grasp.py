@@ -44,12 +44,12 @@ class Turning:
     tried as those before; 0: not."""
     around: int = 4
     """Grasps whose surroundings are searched in each round, and grasps that are taken of each."""
-    finalists: int = 4
+    finalists: int = 3
     """Of all objects together, which are tried again, longer; of those that plain holding holds,
     as ``dexctl hands check`` wants it, where there are so many."""
-    seconds: float = 40.0
-    """Simulated, each trial of these [s]."""
-    trials: int = 8
+    seconds: float = 60.0
+    """Simulated, each trial of these [s]: many a drop comes late."""
+    trials: int = 16
     """Of each of these, each way up."""
 
     def __post_init__(self) -> None:

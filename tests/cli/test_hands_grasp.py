@@ -85,7 +85,7 @@ def test_the_grasp_that_turns_furthest_is_chosen(
     final = [one for one in asked if one[1] == ("up", "down")]
     assert final == [(0.06, ("up", "down"), 20.0), (0.05, ("up", "down"), 20.0)]
     assert best.size == 0.05 and found is not None and found.held["down"] == 1.0
-    assert counts == [3] * 8 + [8] * 2
+    assert counts == [3] * 8 + [16] * 2
     assert said[0].startswith("turning 4 grasps with the coordinated gait") and len(said) == 3
     # without trials, and where no grasp has a finger to spare, the first is taken
     for few, settings in ((grasps, replace(how, grasps=0)), (grasps[4:], how)):
@@ -215,7 +215,7 @@ def test_longer_strides_are_written_where_the_gait_gains_by_them(
 
     monkeypatch.setattr(hands_grasp, "turned", trial)
     config, made = further(dex5.config, "cube", usual, Turning(seconds=20.0), seed=3)
-    assert asked == [(hands_grasp.FURTHER, "cube", ("up",), 8, 20.0, 3)]
+    assert asked == [(hands_grasp.FURTHER, "cube", ("up",), 16, 20.0, 3)]
     assert (config.object.travel, made) == (
         (hands_grasp.FURTHER, found) if taken else (None, usual)
     )
