@@ -13,7 +13,8 @@ import tyro
 
 from dexctl.cli.checks import make_folder
 from dexctl.cli.hand_checks import unlimited
-from dexctl.cli.hands_grasp import Turning, chosen, further, suggestions
+from dexctl.cli.hands_grasp import chosen, further, suggestions
+from dexctl.cli.hands_trials import Turning
 from dexctl.cli.output import facts, notes, print_json, results
 from dexctl.cli.parsing import Switch
 from dexctl.exceptions import DexctlError, InvalidInput, SimulationError

@@ -13,7 +13,8 @@ import pytest
 import dexctl
 from dexctl.cli import hands_grasp
 from dexctl.cli.hands_add import damped, stiffened
-from dexctl.cli.hands_grasp import Turned, Turning, chosen, further, nearby, turned
+from dexctl.cli.hands_grasp import chosen, further, nearby
+from dexctl.cli.hands_trials import Turned, Turning, turned
 from dexctl.exceptions import InvalidInput
 from dexctl.hand_config import HandConfig, ServoConfig
 from dexctl.sim import Scene, SettleFailure, SuggestedGrasp
