@@ -8,6 +8,7 @@ how its pose is known; the others at the speed in the middle.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from math import pi
 from typing import Any, Literal, NamedTuple
 
@@ -32,6 +33,11 @@ from learning.envs import TaskConfig, TurningConfig
 from learning.evaluation import Subject, evaluate, open_subject
 
 PALMS = {"up": "palm up", "down": "palm down", "any": "any way up"}
+SAID = {
+    "tracked": "",
+    "late": ", by a tracker 100 ms late, 3 mm and 0.05 rad off",
+    "touch": ", by touch",
+}
 HELD = 0.95
 """Share of episodes that are to hold, ..."""
 FOLLOWED = 0.9
@@ -143,20 +149,20 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     }  # fmt: skip
     figures = []
     for who in dict.fromkeys(row["who"] for row in rows):
-        for palm in dict.fromkeys(row["palm"] for row in rows):
+        for pose, palm in product(SAID, PALMS):
             own = [
-                row
-                for row in rows
-                if (row["who"], row["palm"], row["pose"]) == (who, palm, "tracked")
+                row for row in rows if (row["who"], row["pose"], row["palm"]) == (who, pose, palm)
             ]
+            if not own:
+                continue
             good = [
                 row for row in own
                 if row["held"]["share"] >= HELD and row["followed"] >= FOLLOWED
             ]  # fmt: skip
             figures.append(
                 Figure(
-                    f"{who}: objects and speeds, {PALMS[palm]}, held in {100 * HELD:.0f} % and "
-                    f"turned by {100 * FOLLOWED:.0f} % of what was told",
+                    f"{who}: objects and speeds, {PALMS[palm]}{SAID[pose]}, held in "
+                    f"{100 * HELD:.0f} % and turned by {100 * FOLLOWED:.0f} % of what was told",
                     f"{len(good)} of {len(own)}",
                     f"{len(own)} of {len(own)}",
                     len(good) == len(own),
