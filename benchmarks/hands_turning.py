@@ -9,6 +9,7 @@ that are missing are said so. `--resume` goes on with the rows that there are.
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -65,6 +66,8 @@ class Options(Settings):
     adds: int = 2
     """How often `dexctl hands add` runs for each file, with seeds from the one after the first on:
     with that one its search was worked out."""
+    told: str = ""
+    """Further options that it is given; as nobody gives them who has a file only, by default."""
     folder: Path | None = None
     """Folder that holds the hands' folders."""
 
@@ -112,8 +115,12 @@ def toml_of(row: dict[str, Any]) -> str:
 
 
 def over_proposed(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
-    """Of how many hands the gait turns surely what `dexctl hands add` proposes, in every run."""
-    mine = [row for row in rows if toml_of(row) != SHIPPED and row.get("controller") == GAIT]
+    """Of how many of the three hands the gait turns what `dexctl hands add` proposes, surely."""
+    mine = [
+        row
+        for row in rows
+        if toml_of(row) != SHIPPED and row["hand"] in HELD and row.get("controller") == GAIT
+    ]
     of = len({row["hand"] for row in mine})
     out = []
     for palm, least, wanted in (("up", 0.95, 2), ("down", 0.8, 1)):
@@ -125,9 +132,9 @@ def over_proposed(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
             said.append(f"{Path(hand).stem} {each}")
         out.append(
             Figure(
-                "hands with what `dexctl hands add` proposes that the coordinated gait turns once "
-                f"in {seconds:g} s and still holds in {100 * least:.0f} % of the trials, palm "
-                f"{palm}, in every run of it",
+                "menagerie's hands with what `dexctl hands add` proposes that the coordinated "
+                f"gait turns once in {seconds:g} s and still holds in {100 * least:.0f} % of the "
+                f"trials, palm {palm}, in every run of it",
                 f"{good} of {of} ({'; '.join(said)})",
                 f"{wanted}",
                 good >= wanted,
@@ -241,7 +248,8 @@ def measure_added(name: str, file: Path, seed: int, given: Options) -> list[dict
     about = {"hand": name, "toml": added(seed)}
     with TemporaryDirectory() as folder:
         toml = Path(folder) / "my_hand.toml"
-        done = process(["hands", "add", str(file), "--out", str(toml), "--seed", str(seed)])
+        words = ["hands", "add", str(file), "--out", str(toml), "--seed", str(seed)]
+        done = process([*words, *shlex.split(given.told)])
         about |= {"add_wall_s": done["wall_s"], "add_cpu_s": done["cpu_s"]}
         if done["error"] is not None:
             return [{**about, "error": done["error"]}]

@@ -28,6 +28,7 @@ from dexctl.gait import CommandedTurning, GoalPursuit, GoalSequence
 from dexctl.planning import sample_grasps
 from dexctl.settings import Names, changed
 from dexctl.sim import GraspStates, Scene
+from learning import policies
 from learning.envs import ReorientationConfig, TaskConfig, TurningConfig
 from learning.envs.goals import GOALS, Goals
 from learning.envs.observation import ORIENTATIONS, TURNING
@@ -43,6 +44,9 @@ GOAL = {"cube": (0.96, 7.0), "uniform": (0.96, 7.0)}
 """What is asked for: that share, and the median time to the first goal [s]."""
 IN_A_ROW = 20
 """Goals one after the other that are asked for, in the median episode."""
+
+
+IN_CARDS = ("share_first_goal_reached", "first_goal_median_s", "goals_in_a_row_median")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +95,8 @@ class Options(Settings):
     and 0.05 rad off."""
     axes: Names = AXES
     """Commanded axes; where a policy is not told of axes, none."""
+    cards: bool = False
+    """Whether the policies' cards are to say what was measured."""
 
 
 class Asked(NamedTuple):
@@ -308,6 +314,20 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     )
 
 
+def write_cards(rows: list[dict[str, Any]], given: Options) -> None:
+    """What was measured, in the cards of all policies that come with the package."""
+    for name in policies.names():
+        tested = []
+        for row in rows:
+            if row["who"] == name:
+                told = IN_CARDS if row["what"] in GOALS else ("rotation_median_rad",)
+                asked = asked_of(row, given)._asdict()
+                tested.append(asked | {key: row[key] for key in (*told, "share_dropped")})
+        if tested:
+            path = policies.FOLDER / f"{name}.npz"
+            policies.annotate(path, tested={"first_seed": given.seed, "results": tested})
+
+
 def main() -> None:
     given = settings(Options, __doc__)
     check_chosen("part", given.parts, PARTS)
@@ -322,6 +342,8 @@ def main() -> None:
                 save(rows, given, say=False)
                 progress(", ".join(map(str, (name, *asked))))
     save(rows, given, say=True)
+    if given.cards:
+        write_cards(rows, given)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -44,7 +45,10 @@ RUNS: dict[str, list[str]] = {
         *(*SHORT, "--hands", "dex5", "none.toml", "--objects", "sphere", "--searches", "1"),
         *("--adds", "1", "--told=--object sphere --turning.grasps 0"),
     ],
-    "hands_turning.py": [*SHORT, "--hands", "wonik_allegro", "--adds", "0"],
+    "hands_turning.py": [
+        *(*SHORT, "--hands", "wonik_allegro", "--adds", "1"),
+        "--told=--object sphere --turning.grasps 0",
+    ],
     "hands_learned.py": [*SHORT],
     "learner.py": [
         *("--environments", "4", "--steps", "2", "--rounds", "1", "--warm-up", "2"),
@@ -356,6 +360,31 @@ def test_what_it_takes_to_add_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {len(line) for line in lines} == {8}
     assert lines[3][-1] == "14 of 16" and lines[4][5] == "no place is in reach"
     assert lines[5][:2] == ["away", "not here: away.xml is not there"]
+
+
+def test_what_hands_add_proposes_counts_where_every_run_of_it_is_turned(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+    turning = importlib.import_module("hands_turning")
+
+    def row(hand: str, seed: int | None, palm: str, count: int) -> dict[str, Any]:
+        toml = {} if seed is None else {"toml": turning.added(seed)}
+        found = {"count": count, "of": 20, "share": count / 20}
+        about = {"hand": hand, "palm": palm, "controller": turning.GAIT}
+        return {**about, **toml, "reached_and_holding": found}
+
+    rows = [
+        row("leap_hand", None, "up", 0),  # of the toml that ships
+        *(row("leap_hand", seed, "up", 20) for seed in (1, 2)),
+        row("wonik_allegro", 1, "up", 20), row("wonik_allegro", 2, "up", 18),
+        row("wonik_allegro", 1, "down", 16), row("wonik_allegro", 2, "down", 20),
+        row("mine.urdf", 1, "up", 20),  # not one of the three
+    ]  # fmt: skip
+    up, down = turning.over_proposed(rows, 60.0)
+    assert up.measured.startswith("1 of 2 (leap_hand 20 of 20 (100 %), 20 of 20 (100 %); wonik")
+    assert (up.met, down.met) == (False, True)
+    assert turning.over_proposed(rows[:1], 60.0) == []
 
 
 @pytest.mark.slow
