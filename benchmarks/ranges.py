@@ -55,8 +55,8 @@ VARIED: dict[str, tuple[str, float, tuple[float, ...]]] = {
     "push_force": ("pushes [N]", 1.0, (0.0, 0.5, 1.0, 2.0)),
     "gravity_turning_range": ("gravity turns at [rad/s]", 1.0, (0.0, 0.1, 0.2, 0.4)),
     "tracker_latency": ("a tracker is late by [ms]", 1e3, (0.0, 0.1, 0.2, 0.3)),
-    "tracker_position_noise": ("and off by [mm]", 1e3, (0.0, 0.003, 0.006, 0.012)),
-    "tracker_rotation_noise": ("and by [rad]", 1.0, (0.0, 0.05, 0.1, 0.2)),
+    "tracker_position_noise": ("a tracker is off by [mm]", 1e3, (0.0, 0.003, 0.006, 0.012)),
+    "tracker_rotation_noise": ("a tracker is off by [rad]", 1.0, (0.0, 0.05, 0.1, 0.2)),
 }
 TRACKER = [name for name in VARIED if name.startswith("tracker_")]
 COLUMNS = 4
