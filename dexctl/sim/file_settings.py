@@ -50,19 +50,33 @@ def own_options(spec: mujoco.MjSpec) -> None:
         setattr(spec, name, getattr(fresh, name))
 
 
-_SOFTNESS = ("solref", "solimp", "solmix")
+TWISTING = 4  # condim: contacts resist sliding and twisting; of the object's, and so of the tips'
+_LIMITS = ("solref_limit", "solimp_limit", "solref_friction", "solimp_friction", "margin")
+_SOFTNESS = {
+    "geom": ("solref", "solimp", "solmix", "margin", "gap"),
+    "pair": ("solref", "solreffriction", "solimp", "margin", "gap"),
+    "joint": _LIMITS,
+    "tendon": _LIMITS,
+}
 
 
 def own_contacts(spec: mujoco.MjSpec) -> None:
-    """Give every geom the softness of contact that MuJoCo has where nobody says one.
+    """Give contacts and limits the softness, and the distance, that MuJoCo has where nobody says.
 
     The constants that a file says were chosen for its own timestep and solver: contacts stiffer
-    than the timestep can follow make forces jump from step to step, and grasps let go.
+    than the timestep can follow make forces jump from step to step, and grasps let go. A geom's
+    ``priority`` stays, with which its friction counts alone; it may not make contacts with the
+    object frictionless, or free to twist, by the way.
     """
-    fresh = mujoco.MjSpec().default.geom
+    fresh = mujoco.MjSpec().default
+    for kind, names in _SOFTNESS.items():
+        usual = getattr(fresh, kind)
+        for one in getattr(spec, f"{kind}s"):
+            for name in names:
+                setattr(one, name, getattr(usual, name))
     for geom in spec.geoms:
-        for name in _SOFTNESS:
-            setattr(geom, name, getattr(fresh, name))
+        if geom.priority > 0:
+            geom.condim = max(geom.condim, TWISTING)
 
 
 _MASS_SETTINGS = ("settotalmass", "boundmass", "boundinertia", "inertiafromgeom")

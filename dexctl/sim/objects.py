@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from dexctl.exceptions import InvalidInput, SimulationError, UnknownName
+from dexctl.sim.file_settings import TWISTING
 from dexctl.state import Floats
 
 MESH = "mesh"
@@ -179,7 +180,7 @@ def add_object(
             f"object {name!r} with object_mesh={mesh!r}; a mesh file goes with object 'mesh' only"
         )
     common = {
-        "condim": 4,
+        "condim": TWISTING,
         "friction": list(friction),
         "contype": 1,
         "conaffinity": 1,

@@ -65,6 +65,31 @@ def test_contacts_are_as_soft_as_ours_whatever_the_file_says(changed_dex5: Hands
         np.testing.assert_array_equal(getattr(found, name), getattr(ours, name), err_msg=name)
 
 
+def test_limits_pairs_and_priority_of_the_file_are_no_contacts_of_another_kind(
+    changed_dex5: Hands,
+) -> None:
+    """With ``priority`` a geom's ``condim`` counts alone: 1 had the object slip out of the hand."""
+    given = (
+        '<geom priority="1" margin="0.004" gap="0.002"/>'
+        '<joint solreflimit="0.0001 1" solimplimit="0.999 0.999 0.001 0.0001 1" margin="0.3"/>'
+    )
+    pair = (
+        '<contact><pair name="p" geom1="f1_tip" geom2="f2_tip" solref="0.0001 1" '
+        'solimp="0.999 0.999 0.001 0.0001 1" margin="0.01"/></contact></mujoco>'
+    )
+    hand = changed_dex5(
+        ("\n  <default>\n", f"\n  <default>{given}\n"), ("</mujoco>", pair),
+        ('condim="4"', 'condim="1"'),
+    )  # fmt: skip
+    found, ours = Scene.build(hand).model, Scene.build("dex5").model
+    for name in ("geom_margin", "geom_gap", "jnt_solref", "jnt_solimp", "jnt_margin"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(ours, name), err_msg=name)
+    assert found.geom_condim[found.geom_priority > 0].min() == 4
+    assert found.npair == 1 and found.pair_margin[0] == 0.0
+    np.testing.assert_array_equal(found.pair_solref[0], ours.geom_solref[0])
+    np.testing.assert_array_equal(found.pair_solimp[0], ours.geom_solimp[0])
+
+
 def tip_errors(hand: HandModel, spec: mujoco.MjSpec) -> float:
     """How far simulated fingertips are from computed ones, at most over random postures [m]."""
     model = lean_model(spec, hand)
