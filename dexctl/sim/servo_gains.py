@@ -22,6 +22,7 @@ BEHIND = 0.1
 _LEVER = 0.1  # what a turning joint does in [rad], a sliding one does in [rad] times this [m]
 RINGING = 0.2
 """Damping, as a share of what is critical, below which a joint rings for long."""
+_ROOM = 1.5  # over what keeps a joint stable by itself: an object that is held stiffens it
 SLUGGISH = 0.2
 """Damping of a joint is left out where it makes the joint this slow [s]."""
 
@@ -93,10 +94,13 @@ def ringing(model: mujoco.MjModel, hand: HandModel, stiffness: Floats, damping: 
         stiffness: of the servos ``(d,)`` [N m/rad].
         damping: of servo and joint together ``(d,)`` [N m s/rad].
     """
-    inertia, step = _inertia(model, hand, hand.posture({})), model.opt.timestep
-    # a spring that is stepped explicitly, with a damper that is not, is stable above this
-    least = (stiffness * step**2 - 4 * inertia) / (2 * step)
-    return (damping < RINGING * 2 * np.sqrt(stiffness * inertia)) | (damping <= least)
+    masses, step = _masses(model, hand, hand.posture({})), model.opt.timestep
+    inertia = np.diag(masses)
+    # a spring that is stepped explicitly, with a damper that is not, is stable above this; of a
+    # joint whose neighbours yield less moves than where they stand still
+    yielding = 1.0 / np.diag(np.linalg.inv(masses))
+    least = (stiffness * step**2 - 4 * yielding) / (2 * step)
+    return (damping < RINGING * 2 * np.sqrt(stiffness * inertia)) | (damping <= _ROOM * least)
 
 
 def link_inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
@@ -114,6 +118,11 @@ def link_inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
 
 def _inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
     """The mass matrix' diagonal for the d joints, armature included."""
+    return np.diag(_masses(model, hand, q)).copy()
+
+
+def _masses(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
+    """The mass matrix ``(d, d)``, armature included, followers with their masters."""
     joints, data, full = HandJoints(model, hand), mujoco.MjData(model), np.zeros((model.nv,) * 2)
     joints.place(data, q)
     mujoco.mj_kinematics(model, data)  # no contacts: links may lie in each other in this posture
@@ -121,4 +130,4 @@ def _inertia(model: mujoco.MjModel, hand: HandModel, q: Floats) -> Floats:
     mujoco.mj_tendon(model, data)
     mujoco.mj_makeM(model, data)
     mujoco.mj_fullM(model, data, full)
-    return np.diag(joints.expand.T @ full @ joints.expand).copy()
+    return np.asarray(joints.expand.T @ full @ joints.expand, float)

@@ -265,6 +265,39 @@ def test_servos_without_damping_are_damped(dex5: dexctl.HandModel, tmp_path: Pat
     settle(Scene.build(tame, "cube", grasp_q=grasp), thorough=False)
 
 
+def test_joints_beside_others_that_yield_are_damped(tmp_path: Path) -> None:
+    """Light links on critically damped servos: each stable by itself, in a finger they diverge."""
+    link = '<geom type="capsule" size="0.008" fromto="0 0 0 0 0 {length}" mass="0.02"/>'
+    finger = (
+        '<body pos="{x} {y} 0"><joint name="roll{i}" axis="0 0 1" range="-0.6 0.6"/>{a}'
+        '<body pos="0 0 0.03"><joint name="near{i}" axis="{axis}" range="-1 1.4"/>{b}'
+        '<body name="tip{i}" pos="0 0 0.04"><joint name="far{i}" axis="{axis}" range="-1 1.4"/>{c}'
+        "</body></body></body>"
+    )
+    bodies, servos = "", ""
+    for i, turn in enumerate(2 * np.pi * np.arange(3) / 3):
+        bodies += finger.format(
+            i=i, x=0.05 * np.cos(turn), y=0.05 * np.sin(turn),
+            axis=f"{-np.sin(turn)} {np.cos(turn)} 0", a=link.format(length=0.03),
+            b=link.format(length=0.04), c=link.format(length=0.035),
+        )  # fmt: skip
+        servos += "".join(
+            f'<position joint="{joint}{i}" kp="3" dampratio="1" forcerange="-1 1"/>'
+            for joint in ("roll", "near", "far")
+        )
+    path = tmp_path / "light.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="palm">'
+        f'<geom type="cylinder" size="0.05 0.01" mass="0.3"/>{bodies}</body></worldbody>'
+        f"<actuator>{servos}</actuator></mujoco>"
+    )
+    hand = dexctl.HandModel.from_mjcf(path, {f"tip{i}": (0, 0, 0.035) for i in range(3)})
+    found = damped(hand)
+    assert set(found) == {f"{joint}{i}" for joint in ("roll", "far") for i in range(3)}
+    mended = replace(hand.config, servos=ServoConfig(damping=found)).build()
+    assert damped(mended) == {}
+
+
 def test_servos_too_soft_to_press_are_stiffened(dex5: dexctl.HandModel, tmp_path: Path) -> None:
     assert stiffened(dex5) == {}
     text = dex5.path.read_text()
