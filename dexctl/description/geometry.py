@@ -179,6 +179,17 @@ def find_mesh(urdf: Path, name: str) -> Path | None:
     return None
 
 
+def missing_meshes(urdf: Path, link: str) -> tuple[str, ...]:
+    """Meshes of a URDF's link that are not there, or cannot be read here; as it names them."""
+    named = [
+        mesh.get("filename", "")
+        for element in parse_xml(urdf).findall("link")
+        if element.get("name") == link
+        for mesh in element.iter("mesh")
+    ]
+    return tuple(name for name in dict.fromkeys(named) if find_mesh(urdf, name) is None)
+
+
 def vertices(file: Path) -> Floats:
     """The vertices ``(k, 3)`` of an STL or OBJ file, none where it is neither."""
     content = file.read_bytes()

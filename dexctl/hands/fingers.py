@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dexctl.description import Description
-from dexctl.description.geometry import body_points
+from dexctl.description import Description, root_tag
+from dexctl.description.geometry import body_points, missing_meshes
 from dexctl.description.placement import Segment, placements, segments
 from dexctl.exceptions import HandModelError, UnknownName
 from dexctl.state import Floats
@@ -162,6 +162,22 @@ def _below(description: Description, base: int | None) -> set[int]:
     return found
 
 
+def _check_meshes(description: Description, part: Segment, points: list[Floats]) -> None:
+    """Raise HandModelError where a link at the end has no shape since its meshes are missing."""
+    if root_tag(description.path) != "robot":
+        return
+    for body in part.bodies:
+        if len(points[body]):
+            continue
+        link = description.bodies[body].name
+        if missing := missing_meshes(description.path, link):
+            raise HandModelError(
+                f"{description.path}: link {link!r}: no mesh {missing[0]!r} that can be read (STL "
+                "or OBJ, beside the file or below a folder in ROS_PACKAGE_PATH); without it "
+                "nobody knows whether that is a fingertip"
+            )
+
+
 def _leaves(
     description: Description, parts: list[Segment], points: list[Floats], below: set[int]
 ) -> tuple[list[int], dict[str, str]]:
@@ -180,6 +196,7 @@ def _leaves(
         part = parts[s]
         if any(carries[child] for child in part.children) or part.bodies[0] not in below:
             continue
+        _check_meshes(description, part, points)
         if not solid[s]:
             if not part.children:
                 dropped[name(s)] = "no geometry"

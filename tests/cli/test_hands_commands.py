@@ -60,6 +60,25 @@ def test_limits_that_the_file_does_not_say_are_asked_for(
     assert said in " ".join(toml.read_text().replace("#", " ").split())
 
 
+def test_a_fingertip_whose_mesh_is_missing_is_not_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The link before it was taken for the fingertip, and the toml said so."""
+    text = RING.read_text()
+    tip = text.index('<link name="f2_tip"')
+    end = text.index("</link>", tip)
+    lost = re.sub(
+        r"<geometry>.*?</geometry>", '<geometry><mesh filename="package://none/tip.stl"/></geometry>',
+        text[tip:end], flags=re.S,
+    )  # fmt: skip
+    file, toml = tmp_path / "ring.urdf", tmp_path / "mine.toml"
+    file.write_text(text[:tip] + lost + text[end:])
+    assert main(["hands", "add", str(file), "--out", str(toml), "--no-grasp"]) == 1
+    said = capsys.readouterr().err
+    assert "link 'f2_tip': no mesh 'package://none/tip.stl' that can be read" in said
+    assert said.count("\n") == 1 and not toml.exists()
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
