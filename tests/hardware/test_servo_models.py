@@ -282,7 +282,8 @@ def test_port_and_speed_are_found() -> None:
         chain(MIXED, ids=(7, *range(20, 34)), baudrate=1_000_000) as emulator,
     ):
         other.silence(1, 2)
-        found = discover([other.port, emulator.port], (4_000_000, 1_000_000), timeout=0.2)  # of a busy machine
+        # as patient as a busy machine asks for
+        found = discover([other.port, emulator.port], (4_000_000, 1_000_000), timeout=0.2)
         assert (found.port, found.baudrate) == (emulator.port, 1_000_000)
         assert sorted(found.servos) == [7, *range(20, 34)]
         assert [found.servos[i].model for i in (7, 25, 26, 30, 33)] == [
