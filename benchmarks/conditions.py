@@ -24,7 +24,7 @@ from common import (
     share,
     write,
 )
-from poses import LATE
+from poses import BY_LATE, LATE
 
 from dexctl.controllers import paced
 from dexctl.files import aside
@@ -114,7 +114,7 @@ CONDITIONS: dict[str, Condition] = {
         hold=0.98,
     ),
     "limits-by-tracker": Condition(
-        "limits, any way up, by a tracker 100 ms late, 3 mm, 0.05 rad",
+        f"limits, any way up, {BY_LATE}",
         ("limits", "any-gravity"),
         changes=LATE,
         every=True,
@@ -137,7 +137,7 @@ CONDITIONS: dict[str, Condition] = {
         speed=0.5,
     ),
     "all-by-tracker": Condition(
-        "everything and limits, any way up, by a tracker 100 ms late, 3 mm, 0.05 rad",
+        f"everything and limits, any way up, {BY_LATE}",
         ("everything", "limits", "any-gravity"),
         changes=LATE,
         every=True,

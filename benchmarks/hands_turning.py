@@ -50,6 +50,8 @@ CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
 UNSEEN = 1000  # after the first seed: of trials that `hands add` has not chosen by
 SHIPPED = "shipped"  # where the toml is from; or as `added` says it
 TARGET = FULL_TURN  # rotation that is counted [rad]
+# palm, share of the trials that are to be turned once and held, and of how many hands
+ASKED = (("up", 0.95, 2), ("down", 0.8, 1))
 KINDS = {"a sphere or cylinder": ("sphere", "cylinder"), "a cube": ("cube",)}  # asked for each
 
 
@@ -119,16 +121,18 @@ def over_proposed(rows: list[dict[str, Any]], seconds: float) -> list[Figure]:
     mine = [
         row
         for row in rows
-        if toml_of(row) != SHIPPED and row["hand"] in HELD and row.get("controller") == GAIT
+        if toml_of(row) != SHIPPED and row["hand"] in HELD and row.get("controller") in (GAIT, None)
     ]
     of = len({row["hand"] for row in mine})
     out = []
-    for palm, least, wanted in (("up", 0.95, 2), ("down", 0.8, 1)):
+    for palm, least, wanted in ASKED:
         good, said = 0, []
         for hand in dict.fromkeys(row["hand"] for row in mine):
-            ours = [r for r in mine if (r["hand"], r["palm"]) == (hand, palm)]
-            good += bool(ours) and all(r["reached_and_holding"]["share"] >= least for r in ours)
-            each = ", ".join(percent(r["reached_and_holding"]) for r in ours)
+            # a run that found no grasp has no palm, and counts for both
+            ours = [r for r in mine if r["hand"] == hand and r.get("palm", palm) == palm]
+            turned = [r.get("reached_and_holding") for r in ours]
+            good += bool(ours) and all(one and one["share"] >= least for one in turned)
+            each = ", ".join(percent(one) if one else "no grasp" for one in turned)
             said.append(f"{Path(hand).stem} {each}")
         out.append(
             Figure(
@@ -169,7 +173,7 @@ def over_kind(rows: list[dict[str, Any]], kind: str, seconds: float) -> list[Fig
         return found
 
     out = []
-    for palm, least, wanted in (("up", 0.95, 2), ("down", 0.8, 1)):
+    for palm, least, wanted in ASKED:
         share = "reached_and_holding"
         sure = best(palm, share)
         good = sum(row[share]["share"] >= least for row in sure.values())

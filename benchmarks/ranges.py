@@ -27,6 +27,7 @@ from common import (
 from dexctl.files import aside
 from dexctl.report.style import INK, drawing, finger_colour, new_figure
 from dexctl.settings import changed
+from dexctl.sim.sensing import TRACKER
 from learning.evaluation import Protocol, evaluate, open_subject
 
 # setting: what stands under the axis, its factor, and the levels
@@ -58,7 +59,6 @@ VARIED: dict[str, tuple[str, float, tuple[float, ...]]] = {
     "tracker_position_noise": ("a tracker is off by [mm]", 1e3, (0.0, 0.003, 0.006, 0.012)),
     "tracker_rotation_noise": ("a tracker is off by [rad]", 1.0, (0.0, 0.05, 0.1, 0.2)),
 }
-TRACKER = [name for name in VARIED if name.startswith("tracker_")]
 COLUMNS = 4
 LINES = {"up": "-", "down": (0, (4, 2))}
 MARKERS = "os^vDP"  # of one subject each: where curves lie on each other, all are seen

@@ -30,7 +30,7 @@ from common import (
     side_by_side,
     write,
 )
-from poses import LATE
+from poses import LATE, by_tracker
 
 from learning.evaluation import open_subject
 
@@ -71,7 +71,7 @@ class Options(Settings):
     """And of each of three angles [rad]."""
 
 
-TRACKER = ("tracker_latency", "tracker_position_noise", "tracker_rotation_noise")
+TRACKER = tuple(LATE)  # as `by_tracker` takes them
 
 
 @cache
@@ -146,8 +146,7 @@ def told_of(row: dict[str, Any]) -> str:
     if "most_offset" in row:
         even = f", origins off by up to {row['most_offset']:g} rad, evenly"
     if pose == "tracked":
-        late, place, turn = (row[name] for name in TRACKER)
-        return f", by a tracker {1e3 * late:g} ms late, {1e3 * place:g} mm, {turn:g} rad{even}"
+        return f", {by_tracker(*(row[name] for name in TRACKER))}{even}"
     return ", told by touch" * (pose == "touch") + even
 
 

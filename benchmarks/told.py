@@ -25,7 +25,7 @@ from common import (
     share,
     write,
 )
-from poses import Pose, known
+from poses import BY_LATE, Pose, known
 
 from dexctl.settings import changed
 from dexctl.sim.objects import object_names
@@ -35,7 +35,7 @@ from learning.evaluation import Subject, evaluate, open_subject
 PALMS = {"up": "palm up", "down": "palm down", "any": "any way up"}
 SAID = {
     "tracked": "",
-    "late": ", by a tracker 100 ms late, 3 mm and 0.05 rad off",
+    "late": f", {BY_LATE}",
     "touch": ", by touch",
 }
 HELD = 0.95

@@ -94,13 +94,14 @@ class Add:
         hand = config.build()
         console = notes()
         console.print(f"dexctl: {hand.n_fingers} fingers, {hand.nq} joints")
+        asked = ""
         if missing := unlimited(hand):
-            missing = (
+            asked = (
                 f"The file has {missing}. What motors can do is no guess of ours: write it as "
                 "servos.effort [N m] and servos.velocity [rad/s]."
             )
-            console.print(f"dexctl: {missing}")
-        reasons[""] = f"{self._head()} {missing}".strip()
+            console.print(f"dexctl: {asked}")
+        reasons[""] = f"{self._head()} {asked}".strip()
         failure, scene = None, None
         if self.grasp:
             try:
@@ -121,7 +122,7 @@ class Add:
             "guesses": [{"setting": s, "value": v, "reason": r} for s, v, r in rows],
             "grasp": None if failure or not self.grasp else config.object.shape,
             "failure": None if failure is None else str(failure),
-            "unlimited": missing,
+            "unlimited": asked,
         }
         if self.json:
             print_json(found)

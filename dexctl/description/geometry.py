@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -179,13 +179,21 @@ def find_mesh(urdf: Path, name: str) -> Path | None:
     return None
 
 
-def missing_meshes(urdf: Path, link: str) -> tuple[str, ...]:
-    """Meshes of a URDF's link that are not there, or cannot be read here; as it names them."""
+def missing_meshes(urdf: Path, link: str, kinds: Iterable[str]) -> tuple[str, ...]:
+    """Meshes of a URDF's link that are not there, or cannot be read here; as it names them.
+
+    Args:
+        urdf: the file.
+        link: name of the link.
+        kinds: of its elements: ``collision``, ``visual``.
+    """
     named = [
         mesh.get("filename", "")
         for element in parse_xml(urdf).findall("link")
         if element.get("name") == link
-        for mesh in element.iter("mesh")
+        for kind in kinds
+        for part in element.findall(kind)
+        for mesh in part.iter("mesh")
     ]
     return tuple(name for name in dict.fromkeys(named) if find_mesh(urdf, name) is None)
 

@@ -163,14 +163,18 @@ def _below(description: Description, base: int | None) -> set[int]:
 
 
 def _check_meshes(description: Description, part: Segment, points: list[Floats]) -> None:
-    """Raise HandModelError where a link at the end has no shape since its meshes are missing."""
+    """Raise HandModelError where a link at the end has no shape since its meshes are missing.
+
+    Drawn ones count where nothing else of the part has a shape; decoration may be missing.
+    """
     if root_tag(description.path) != "robot":
         return
+    kinds = ("collision",) if _has_shape(part, points) else ("collision", "visual")
     for body in part.bodies:
         if len(points[body]):
             continue
         link = description.bodies[body].name
-        if missing := missing_meshes(description.path, link):
+        if missing := missing_meshes(description.path, link, kinds):
             raise HandModelError(
                 f"{description.path}: link {link!r}: no mesh {missing[0]!r} that can be read (STL "
                 "or OBJ, beside the file or below a folder in ROS_PACKAGE_PATH); without it "

@@ -124,9 +124,9 @@ class FingerIK:
         self, q: Floats, finger: int, target: Floats, tolerance: float, budget: int
     ) -> tuple[Floats, float, int]:
         """Take up to ``budget`` steps from ``q``: what is reached, how far off, and the number."""
-        own, q, previous = self._own[finger], q.copy(), np.inf
+        own, q, previous, count = self._own[finger], q.copy(), np.inf, 0
         lower, upper = self.hand.lower[own], self.hand.upper[own]
-        for count in range(budget + 1):
+        while True:
             configuration = self.hand.configuration(q)
             tips = configuration.fingertip_position
             off = target - tips[finger]
@@ -145,7 +145,7 @@ class FingerIK:
                 np.minimum(upper - q[own], _MAX_STEP),
             )
             q[own] = np.clip(q[own] + step, lower, upper)
-        raise AssertionError  # the last pass returns
+            count += 1
 
 
 def _bounded(hessian: Floats, linear: Floats, lower: Floats, upper: Floats) -> Floats:

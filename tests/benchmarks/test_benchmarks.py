@@ -385,6 +385,10 @@ def test_what_hands_add_proposes_counts_where_every_run_of_it_is_turned(
     assert up.measured.startswith("1 of 2 (leap_hand 20 of 20 (100 %), 20 of 20 (100 %); wonik")
     assert (up.met, down.met) == (False, True)
     assert turning.over_proposed(rows[:1], 60.0) == []
+    # and one that found no grasp is not turned
+    none = {"hand": "leap_hand", "toml": turning.added(3), "error": "no place is in reach"}
+    up, _ = turning.over_proposed([*rows, none], 60.0)
+    assert up.measured.startswith("0 of 2 (leap_hand 20 of 20 (100 %), 20 of 20 (100 %), no grasp;")
 
 
 @pytest.mark.slow

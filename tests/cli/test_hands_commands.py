@@ -77,6 +77,11 @@ def test_a_fingertip_whose_mesh_is_missing_is_not_left_out(
     said = capsys.readouterr().err
     assert "link 'f2_tip': no mesh 'package://none/tip.stl' that can be read" in said
     assert said.count("\n") == 1 and not toml.exists()
+    # what is only drawn may be missing where the link has a shape to touch with
+    drawn = '<visual><geometry><mesh filename="package://none/nail.dae"/></geometry></visual>'
+    file.write_text(text[:tip] + text[tip:end] + drawn + text[end:])
+    assert main(["hands", "add", str(file), "--out", str(toml), "--no-grasp", "--json"]) == 0
+    assert "f2_tip" in json.loads(capsys.readouterr().out)["fingertips"]
 
 
 @pytest.mark.parametrize(
