@@ -143,6 +143,8 @@ def suggest(
     seed = check_seed(seed, 0)
     if object_size is not None:
         checks.object_size(object_size)
+    if not isinstance(near, SuggestedGrasp | None):
+        raise InvalidInput(f"near is {near!r}; expected a grasp that suggest_grasp gave, or None")
     wanted = checks.vector("twist", twist, 6)
     if not wanted.any():
         raise InvalidInput("twist is all zero; expected the direction in which to move the object")

@@ -254,6 +254,8 @@ def test_what_mujoco_cannot_step_is_said_in_one_line(
 def test_suggestions_say_what_they_want(bare: HandModel, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="twist is all zero"):
         Scene.suggest_grasp(bare, "cube", twist=np.zeros(6))
+    with pytest.raises(InvalidInput, match="near is 'here'; expected a grasp"):
+        Scene.suggest_grasp(bare, "cube", near="here")  # type: ignore[arg-type]
     for seed in (-1, "a"):
         with pytest.raises(InvalidInput, match=f"seed is {seed!r}; expected a whole number from 0"):
             Scene.suggest_grasp(bare, "cube", seed=seed)  # type: ignore[arg-type]
