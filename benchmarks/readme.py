@@ -24,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 HEADINGS = {
     "igm_latency": "In-grasp step",
     "compiled_or_plain": "In-grasp step, compiled or plain",
+    "force_distribution": "Forces that hold a wrench",
     "gait_batch": "A batch of hands",
     "simulator": "Simulator",
     "in_grasp": "In-grasp manipulation",

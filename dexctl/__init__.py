@@ -5,7 +5,7 @@ Controller.act -> joint set-point change -> Plant -> GraspState``.
 
 ``import dexctl`` loads numpy, scipy and pinocchio only. The rooms below it (`dexctl.grasp`,
 `dexctl.igm`, `dexctl.switch`, `dexctl.gait`, `dexctl.sim`) and their controllers are loaded when
-they are first named, and bring casadi, proxsuite or MuJoCo when these are first used.
+they are first named, and bring casadi or MuJoCo when these are first used.
 """
 
 from __future__ import annotations

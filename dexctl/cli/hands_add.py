@@ -93,23 +93,26 @@ class Add:
         config = replace(proposal.config, name=out.stem, object=held)
         hand = config.build()
         console = notes()
-        console.print(f"dexctl: {hand.n_fingers} fingers, {hand.nq} joints")
+        say(f"{hand.n_fingers} fingers, {hand.nq} joints")
         asked = ""
         if missing := unlimited(hand):
             asked = (
                 f"The file has {missing}. What motors can do is no guess of ours: write it as "
                 "servos.effort [N m] and servos.velocity [rad/s]."
             )
-            console.print(f"dexctl: {asked}")
+            say(asked)
         reasons[""] = f"{self._head()} {asked}".strip()
-        failure, scene = None, None
+        config, mended = with_gains(config, reasons)
+        for note in mended:
+            say(note)
+        failure, scene, hand = None, None, config.build()
         if self.grasp:
             try:
                 config, scene = self._with_grasp(hand, config, reasons)
                 scene.settled  # noqa: B018  as written, with its digits and its gains
             except SimulationError as error:
                 failure = error
-                console.print(f"dexctl: no grasp: {error}")
+                say(f"no grasp: {error}")
                 scene = getattr(error, "scene", None)
         config.write(out, reasons)  # whole: one that is interrupted before leaves none
         pictures = _draw(out, hand, scene, config, reasons, failure)
@@ -123,6 +126,7 @@ class Add:
             "grasp": None if failure or not self.grasp else config.object.shape,
             "failure": None if failure is None else str(failure),
             "unlimited": asked,
+            "notes": list(mended),
         }
         if self.json:
             print_json(found)
@@ -143,30 +147,9 @@ class Add:
     def _with_grasp(
         self, hand: HandModel, config: HandConfig, reasons: dict[str, str]
     ) -> tuple[HandConfig, Scene]:
-        """The configuration with a grasp and the gains that it was found with."""
+        """The configuration with a grasp."""
         from dexctl.sim import Scene
 
-        def say(text: str) -> None:
-            notes().print(f"dexctl: {text}")
-
-        for setting, needed, why in (
-            (
-                "stiffness",
-                stiffened,
-                "Too soft in the file to press with 2 N where the set-point is 0.1 rad ahead.",
-            ),
-            (
-                "damping",  # of the stiffness that there is now
-                damped,
-                "Hardly damped in the file, so that these joints would ring for long: critical, "
-                "where they swing at 8 Hz at most.",
-            ),
-        ):
-            if mended := needed(hand):
-                config = replace(config, servos=replace(config.servos, **{setting: mended}))
-                hand = config.build()
-                reasons[f"servos.{setting}"] = why
-                say(f"servos {needed.__name__}: {', '.join(mended)}")
         objects = (self.object,) if self.object else OBJECTS
         count = max(1, self.turning.grasps)
         grasps = suggestions(
@@ -185,21 +168,63 @@ class Add:
         reasons["object"] = f"Found by search and held in the simulator: {held}."
         reasons["postures.open"] = "From here the fingers close on the object."
         reasons["postures.grasp"] = "The fingertips about to touch the object."
-        scene = Scene.build(config.build(), best.object)
+        return config, Scene.build(config.build(), best.object)
+
+
+def say(text: str) -> None:
+    """A line for whoever waits."""
+    notes().print(f"dexctl: {text}")
+
+
+def with_gains(config: HandConfig, reasons: dict[str, str]) -> tuple[HandConfig, tuple[str, ...]]:
+    """The configuration with the gains that its servos need, and what the simulator mended.
+
+    A hand that cannot be simulated is left as it is; the search for a grasp says why.
+
+    Args:
+        config: as the file has it.
+        reasons: of what is guessed, added to.
+    """
+    try:
+        scene = _alone(config.build())
         if any("position servos added" in note for note in scene.notes):
             config = replace(config, servos=_servos(scene, config.servos))
             reasons["servos"] = "The file has no position servos: " + "; ".join(scene.notes)
-            scene = Scene.build(config.build(), best.object)
-        return config, scene
+        for setting, needed, why in (
+            (
+                "stiffness",
+                stiffened,
+                "Too soft in the file to press with 2 N where the set-point is 0.1 rad ahead.",
+            ),
+            (
+                "damping",  # of the stiffness that there is now
+                damped,
+                "Hardly damped in the file, so that these joints would ring for long: critical, "
+                "where they swing at 8 Hz at most.",
+            ),
+        ):
+            if mended := needed(config.build()):
+                config = replace(config, servos=replace(config.servos, **{setting: mended}))
+                reasons[f"servos.{setting}"] = why
+                say(f"servos {needed.__name__}: {', '.join(mended)}")
+    except DexctlError:
+        return config, ()
+    return config, scene.notes
+
+
+def _alone(hand: HandModel) -> Scene:
+    """The hand with nothing in it."""
+    from dexctl.sim import Scene
+
+    return Scene.build(hand, object_size=0.05, grasp_centre=(0.0, 0.0, 10.0))
 
 
 def stiffened(hand: HandModel) -> dict[str, float]:
     """Joints whose servos in the file are too soft for a grasp, and the stiffness they need."""
-    from dexctl.sim import Scene
     from dexctl.sim.hand_spec import propose_servos
 
     need = propose_servos(hand).least
-    found = Scene.build(hand, object_size=0.05, grasp_centre=(0.0, 0.0, 10.0)).stiffness
+    found = _alone(hand).stiffness
     return {
         name: float(f"{wanted:.3g}")
         for name, wanted, there in zip(hand.joint_names, need, found, strict=True)
@@ -209,10 +234,9 @@ def stiffened(hand: HandModel) -> dict[str, float]:
 
 def damped(hand: HandModel) -> dict[str, float]:
     """Joints that ring, or cannot be simulated, as they are; and the damping they need."""
-    from dexctl.sim import Scene
     from dexctl.sim.servo_gains import proposed_gains, ringing
 
-    scene = Scene.build(hand, object_size=0.05, grasp_centre=(0.0, 0.0, 10.0))
+    scene = _alone(hand)
     found, unknown = scene.stiffness, np.full(hand.nq, np.nan)
     wanted = proposed_gains(scene.model, hand, found, unknown).damping
     return {
@@ -291,5 +315,5 @@ def _draw(
             grasp=grasp,
         )
     except DexctlError as error:
-        notes().print(f"dexctl: no pictures: {error}")
+        say(f"no pictures: {error}")
         return []

@@ -26,6 +26,8 @@ _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 NORMAL_TOLERANCE = 0.02  # on the squared norm of a unit normal
 MAX_DISTANCE = 1e6
 """Greatest distance of a contact from the origin, along an axis [m]; beyond lies no hand."""
+MAX_CONTACTS = 128
+"""Most contacts at once of what takes a time that grows with the cube of their number."""
 
 
 class Contacts(NamedTuple):
@@ -206,6 +208,13 @@ def check_mask(in_contact: ArrayLike, shape: tuple[int, ...]) -> Bools:
     if active.shape != shape:
         raise InvalidInput(f"in_contact has shape {active.shape}; expected {shape}")
     return active
+
+
+def check_count(active: Bools, most: int = MAX_CONTACTS) -> None:
+    """Raise InvalidInput where more than ``most`` are ``active`` ``(..., m)`` at once."""
+    count = int(active.sum(axis=-1).max(initial=0))
+    if count > most:
+        raise InvalidInput(f"in_contact has {count} contacts; expected at most {most}")
 
 
 def check_origin(origin: ArrayLike, position: Floats) -> Floats:

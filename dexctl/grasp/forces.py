@@ -1,7 +1,7 @@
 """Contact forces inside friction cones that balance an external wrench with least effort.
 
 The grasp's force distribution (Kerr and Roth 1986; Prattichizzo and Trinkle, section 38.5), with
-friction pyramids inscribed in the cones and joint torque limits, as a QP solved by ProxQP.
+friction pyramids inscribed in the cones and joint torque limits.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from dexctl.grasp.cones import (
     check_cones,
     facets,
 )
-from dexctl.grasp.contacts import MAX_DISTANCE
+from dexctl.grasp.contacts import MAX_DISTANCE, check_count
+from dexctl.grasp.least_effort import UNBOUNDED, least_effort
 from dexctl.state import Bools, Floats
 from dexctl.validation import number, numbers, shown
 
@@ -27,15 +28,10 @@ BALANCE = 1e-6
 """Share of the external wrench that feasible forces may leave unbalanced."""
 MAX_WRENCH = 1e9
 """Greatest force and torque that is asked for [N, N m]."""
-_ACCURACY = 1e-8
+MAX_ALL_EDGES = 2048
+"""Most edges of all pyramids at once, 16 of 128 contacts; solved in a second or so."""
+_SLIPPERY = 1e-6  # N per newton pressed; what friction carries no more than this is left out
 _NOTHING = 1e-100  # N; what is below would be lost in squares
-_UNBOUNDED = 1e20  # to ProxQP
-_MAX_ITERATIONS = 40
-_MAX_INNER_ITERATIONS = 100
-_EFFORT_SHARE = 3e-4  # weight of the effort beside the wrench left over
-_MAX_ROUNDS = 20
-_SETTLED = 1e-8
-_LEAST_FRICTION = 1e-3  # weight floor, so that frictionless contacts leave no direction free
 
 
 class GraspForces(NamedTuple):
@@ -85,7 +81,7 @@ def grasp_forces(
     Args:
         contact_position: ``(..., m, 3)`` [m], world frame.
         contact_normal: ``(..., m, 3)``, unit, from the fingertip into the object.
-        in_contact: ``(..., m)`` bool; rows of the others are not read.
+        in_contact: ``(..., m)`` bool, at most 128 at once; rows of the others are not read.
         origin: ``(..., 3)`` or ``(3,)`` [m], the point that torques are taken about.
         friction: coefficient, one number, ``(m,)`` or ``(..., m)``.
         external_wrench: ``(..., 6)`` or ``(6,)``, force [N] and torque [N m] that act on the
@@ -95,7 +91,7 @@ def grasp_forces(
         effort: joint torque limits ``(d,)`` [N m], ``|J^T f| <= effort``; needs the Jacobian. Only
             the forces count, not the torques of soft fingers, nor the weight of the fingers.
         max_normal: greatest normal force of a finger [N]; None: no limit.
-        edges: edges of the pyramids inscribed in the cones.
+        edges: edges of the pyramids inscribed in the cones, at most 2048 of all contacts.
         torsion: torque about the normal over normal force of a soft finger [m].
         length: what torques are divided by in ``violation`` [m]; None: the mean distance of
             the contacts from the origin, at least 1 mm.
@@ -115,7 +111,13 @@ def grasp_forces(
         torsion,
         length,
     )
+    check_count(cones.contacts.active)
     batch, m = cones.friction.shape[:-1], cones.friction.shape[-1]
+    most_edges = cones.edges * int(cones.contacts.active.sum(axis=-1).max(initial=0))
+    if most_edges > MAX_ALL_EDGES:
+        raise InvalidInput(
+            f"edges is {edges}, {most_edges} of all contacts; expected at most {MAX_ALL_EDGES}"
+        )
     wrench = _finite(external_wrench, "external_wrench", (6,), batch)
     if max_normal is not None:
         wanted = f"newtons above 0, to {MAX_WRENCH:g}, or None"
@@ -124,8 +126,9 @@ def grasp_forces(
     scale = cones.length[..., None]
     wrench = np.concatenate([wrench[..., :3], wrench[..., 3:] / scale], axis=-1)
 
-    count, columns = int(np.prod(batch)), cones.maps.shape[-1]
-    maps = cones.maps.reshape(count, m, 6, columns)
+    maps = cones.maps
+    count, columns = int(np.prod(batch)), maps.shape[-1]
+    maps = maps.reshape(count, m, 6, columns)
     unit = np.ones((*batch, m, columns))  # contact axes, in units of the friction limits
     unit[..., :2] = cones.friction[..., None]
     unit[..., 3:] = cones.torsion
@@ -139,23 +142,29 @@ def grasp_forces(
     for i in np.flatnonzero(active.any(axis=-1) & (violation > 0)):
         touch = active[i]
         size = violation[i]
-        weight = np.maximum(unit[i, touch], _LEAST_FRICTION)
+        weight = unit[i, touch].copy()
         weight[:, 3:] = cones.torsion / lengths[i]
-        limit = np.empty((0, columns * touch.sum())), np.empty(0)
+        pulls = (weight > _SLIPPERY).ravel()
+        fingers = int(touch.sum())
+        limit = np.empty((0, columns * fingers)), np.empty(0)
         if joints is not None and limits is not None:
             torque = np.swapaxes(joints[i, touch], -1, -2) @ basis[i, touch]  # (k, d, 3)
             torque = np.concatenate([torque, np.zeros((*torque.shape[:-1], columns - 3))], axis=-1)
             torque = np.swapaxes(torque * unit[i, touch][:, None], 0, 1).reshape(limits.size, -1)
-            bounded = limits < _UNBOUNDED * size
+            bounded = limits < UNBOUNDED * size
             limit = torque[bounded], limits[bounded] / size
-        solution = _least_effort(
-            maps[i, touch] * unit[i, touch][:, None],
+        most = np.inf if max_normal is None else max_normal / size
+        scaled = np.swapaxes(maps[i, touch] * unit[i, touch][:, None], 0, 1)
+        matrix, upper = _limits(fingers, columns, rows, limit, most)
+        solution = np.zeros(fingers * columns)
+        solution[pulls] = least_effort(
+            scaled.reshape(6, -1)[:, pulls],
             -wrench[i] / size,
-            weight,
-            rows,
-            limit,
-            None if max_normal is None else min(max_normal / size, _UNBOUNDED),
+            weight.ravel()[pulls],
+            matrix[:, pulls],
+            upper,
         )
+        solution = solution.reshape(fingers, columns)
         contact_force[i, touch] = solution * size * unit[i, touch]
     reached = np.einsum("nmij,nmj->ni", maps, contact_force)
     left = np.linalg.norm(reached + wrench, axis=-1)
@@ -174,63 +183,18 @@ def grasp_forces(
     )
 
 
-def _least_effort(
-    maps: Floats,
-    target: Floats,
-    weight: Floats,
-    rows: Floats,
-    limit: tuple[Floats, Floats],
-    max_normal: float | None,
-) -> Floats:
-    """Scaled contact forces ``(k, c)`` whose wrench is ``target`` (6,), or as near as can be.
-
-    What is left over has six variables of its own: no forces at all are always feasible, and
-    the Hessian stays diagonal (ProxQP takes a minute over the singular G'G, and calls some
-    feasible equalities infeasible). The effort has a small weight beside it, whose effect the
-    method of multipliers takes away: what is left over is asked for again on top.
-    """
-    import proxsuite  # here, so that importing dexctl does not load it
-
-    k, _, columns = maps.shape
-    count = k * columns
-    grasp = np.swapaxes(maps, 0, 1).reshape(6, count)
-    matrix = np.vstack([np.kron(np.eye(k), rows), limit[0]])
-    upper = np.concatenate([np.zeros(k * len(rows)), limit[1]])
-    lower = np.concatenate([np.full(k * len(rows), -_UNBOUNDED), -limit[1]])
-    if max_normal is not None:
-        normal = np.zeros((k, count))
-        normal[np.arange(k), np.arange(k) * columns + 2] = 1.0
-        matrix = np.vstack([matrix, normal])
-        upper = np.concatenate([upper, np.full(k, max_normal)])
-        lower = np.concatenate([lower, np.full(k, -_UNBOUNDED)])
-    qp = proxsuite.proxqp.dense.QP(count + 6, 6, len(upper))
-    qp.settings.eps_abs = _ACCURACY
-    qp.settings.max_iter = _MAX_ITERATIONS
-    qp.settings.max_iter_in = _MAX_INNER_ITERATIONS
-    # Its warm start before a first solve crashes the process.
-    qp.settings.initial_guess = proxsuite.proxqp.InitialGuess.NO_INITIAL_GUESS
-    qp.init(
-        np.diag(np.concatenate([_EFFORT_SHARE * weight.ravel() ** 2, np.ones(6)])),
-        np.zeros(count + 6),
-        np.hstack([grasp, -np.eye(6)]),
-        target,
-        np.hstack([matrix, np.zeros((len(matrix), 6))]),
-        lower,
-        upper,
-    )
-    asked, forces = target, np.zeros(count)
-    for _ in range(_MAX_ROUNDS):
-        qp.solve()
-        found = np.array(qp.results.x)[:count]
-        if not np.isfinite(found).all():
-            break
-        change, forces = np.abs(found - forces).max(), found
-        if change < _SETTLED:
-            break
-        asked = asked + (target - grasp @ forces)
-        qp.settings.initial_guess = proxsuite.proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
-        qp.update(b=asked)
-    return forces.reshape(k, columns)
+def _limits(
+    count: int, columns: int, rows: Floats, torques: tuple[Floats, Floats], max_normal: float
+) -> tuple[Floats, Floats]:
+    """Rows and upper limits of what scaled contact forces ``(count * columns,)`` may be."""
+    matrix = [np.kron(np.eye(count), rows), torques[0], -torques[0]]
+    upper = [np.zeros(count * len(rows)), torques[1], torques[1]]
+    if max_normal < UNBOUNDED:
+        normal = np.zeros((count, columns))
+        normal[:, 2] = 1.0
+        matrix.append((np.eye(count)[..., None] * normal[:, None]).reshape(count, -1))
+        upper.append(np.full(count, max_normal))
+    return np.concatenate(matrix), np.concatenate(upper)
 
 
 def _finite(value: ArrayLike, name: str, tail: tuple[int, ...], batch: tuple[int, ...]) -> Floats:

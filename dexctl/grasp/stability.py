@@ -19,6 +19,7 @@ from dexctl.grasp.contacts import (
     NORMAL_TOLERANCE,
     Contacts,
     check_contacts,
+    check_count,
     cross,
 )
 from dexctl.grasp.stability_exact import solve_exact_batch
@@ -125,6 +126,7 @@ def stability_forces(
         if solution is not None:
             return solution
     contacts = check_contacts(contact_position, contact_normal, in_contact, origin)
+    check_count(contacts.active)
     shape = contacts.active.shape
     scale = characteristic_length(contacts, length)
     upper = _upper(max_force, contacts.active)

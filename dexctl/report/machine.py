@@ -10,7 +10,7 @@ from typing import Any
 
 import dexctl
 
-_PACKAGES = ("numpy", "scipy", "pin", "proxsuite", "casadi", "mujoco", "mink")
+_PACKAGES = ("numpy", "scipy", "pin", "casadi", "mujoco", "mink")
 
 
 def usable_cores() -> int:

@@ -23,6 +23,7 @@ PATIENT = ["--patience", "10"]
 SHORT = ["--trials", "2", "--seconds", "0.5"]
 RUNS: dict[str, list[str]] = {
     "igm_latency.py": ["--count", "10", "--rounds", "2"],
+    "force_distribution.py": ["--count", "5", "--rounds", "1", "--contacts", "4", "--hulls", "2"],
     "compiled_or_plain.py": ["--count", "5", "--rounds", "2", "--hands", "1", "4", "--starts", "1"],
     "gait_batch.py": ["--environments", "4", "--steps", "4", "--warm-up", "1"],
     "simulator.py": ["--environments", "4", "--steps", "3", "--rounds", "2"],

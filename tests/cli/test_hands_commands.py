@@ -60,6 +60,47 @@ def test_limits_that_the_file_does_not_say_are_asked_for(
     assert said in " ".join(toml.read_text().replace("#", " ").split())
 
 
+@pytest.mark.parametrize("words", ["--no-grasp", ""])
+def test_gains_are_written_where_there_is_no_grasp(
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """They were written with the grasp that was found, and not without one."""
+
+    def nothing(*_: object, **__: object) -> None:
+        raise SimulationError("nothing holds")
+
+    monkeypatch.setattr("dexctl.cli.hands_add.suggestions", nothing)
+    toml = tmp_path / "mine.toml"
+    told = ["hands", "add", str(RING), "--out", str(toml), "--json", *words.split()]
+    assert main(told) == (0 if words else 1)
+    out, err = capsys.readouterr()
+    found, config = json.loads(out), HandConfig.read(toml)
+    assert isinstance(config.servos.stiffness, dict) and len(config.servos.stiffness) == 15
+    assert isinstance(config.servos.damping, dict) and min(config.servos.damping.values()) > 0
+    assert any("position servos added" in note for note in found["notes"])
+    assert "position servos added" in " ".join(err.split())
+    assert "# The file has no position servos" in toml.read_text()
+    assert ("no grasp: nothing holds" in err) == (not words)
+
+
+def test_what_the_simulator_mends_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also of a hand that has its servos: it was said of none but those that got some."""
+    text = dexctl.hands.load("dex5").path.read_text()
+    toy = '<body name="toy"><freejoint/><geom size="0.02"/></body></worldbody>'
+    file, toml = tmp_path / "with_a_toy.xml", tmp_path / "mine.toml"
+    file.write_text(text.replace("</worldbody>", toy))
+    told = ["hands", "add", str(file), "--out", str(toml), "--no-grasp", "--json"]
+    assert main([*told, "--fingertips", *dexctl.hands.load("dex5").fingertip_names]) == 0
+    out, err = capsys.readouterr()
+    said = "loose bodies of the file left out: toy"
+    assert json.loads(out)["notes"] == [said] and said in err
+
+
 def test_a_fingertip_whose_mesh_is_missing_is_not_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import warnings
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -168,7 +169,7 @@ def test_lengths_far_below_the_distances(ratio, rho):
         (kernel.is_force_closure, {"friction": 1, "edges": "8"}, "edges is '8'"),
         (kernel.is_force_closure, {"friction": 1, "model": "soft", "torsion": 1e300}, "torsion is"),
         (kernel.is_force_closure, {"friction": 1, "model": "soft", "torsion": "x"}, "torsion is"),
-        (kernel.epsilon_quality, {"friction": 1, "edges": 64}, "edges is 64; expected at most 32"),
+        (kernel.epsilon_quality, {"friction": 1, "edges": 65}, "edges is 65; expected a whole"),
         (kernel.grasp_forces, {"friction": 1, "external_wrench": 1e300 * np.ones(6)}, "external"),
         (kernel.grasp_forces, {"friction": 1, "external_wrench": 1j * np.ones(6)}, "external"),
         (
@@ -203,3 +204,29 @@ def test_models_and_hands_that_are_none(dex5):
     for normal in (np.zeros(2), 1.0, np.full(3, np.nan), np.full(3, 1e160), "x"):
         with pytest.raises(InvalidInput, match="^normal "):
             kernel.tangent_basis(normal)
+
+
+def ball(count):
+    rng = np.random.default_rng(count)
+    normal = rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return -0.03 * normal, normal, np.ones(count, bool), np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [("stability", 128), ("stability, no regulariser", 128), ("epsilon", 32), ("forces", 128)],
+)
+def test_a_thousand_contacts_are_refused_and_as_many_as_are_taken_take_no_time(name, most):
+    contacts = ball(1000)
+    with pytest.raises(InvalidInput, match=f"in_contact has 1000 .*; expected at most {most}"):
+        FUNCTIONS[name](*contacts)
+    touch = np.arange(1000) < most
+    start = process_time()
+    FUNCTIONS[name](contacts[0], contacts[1], touch, contacts[3])
+    assert process_time() - start < 20  # a second or so
+
+
+def test_many_contacts_of_many_edges_are_refused():
+    with pytest.raises(InvalidInput, match="edges is 64, 6400 of all contacts; expected at most"):
+        kernel.grasp_forces(*ball(100), 0.5, np.ones(6), edges=64)

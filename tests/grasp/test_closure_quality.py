@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 
 from dexctl.exceptions import InvalidInput, UnknownName
 from dexctl.grasp import epsilon_quality, is_force_closure, isotropy, smallest_singular_value
+from dexctl.grasp.cones import check_cones, primitive_wrenches
 
 OPPOSED = np.array([[0.03, 0, 0], [-0.03, 0, 0]])
 
@@ -228,3 +229,26 @@ def test_bad_arguments_are_named():
         epsilon_quality(*arguments, 0.5, length=-1.0)
     with pytest.raises(InvalidInput, match="finite"):
         is_force_closure(position * np.nan, normal, [1, 1, 1], np.zeros(3), 0.5)
+
+
+@pytest.mark.parametrize("model", ["hard", "soft"])
+def test_growing_the_hull_gives_the_radius_in_the_whole_hull(model):
+    """The hull of a few wrenches that grows where it must, against the hull of them all."""
+    rng = np.random.default_rng(5)
+    closed = 0
+    for count in (3, 4, 5, 6, 8) * 4:
+        position, normal = disturbed(rng, count, rng.choice([0.1, 0.5]))
+        friction, edges = rng.choice([0.3, 0.8]), int(rng.choice([3, 8, 16]))
+        torsion = 0.005 if model == "soft" else 0.0
+        got = epsilon_quality(
+            position, normal, np.ones(count, bool), np.zeros(3), friction,
+            model=model, edges=edges, torsion=0.005, length=0.05,
+        )  # fmt: skip
+        cones = check_cones(
+            position, normal, np.ones(count, bool), np.zeros(3), friction, model, edges, torsion,
+            0.05,
+        )  # fmt: skip
+        plain = -ConvexHull(primitive_wrenches(cones).T).equations[:, -1].max()
+        assert got == pytest.approx(max(0.0, plain), abs=1e-12)
+        closed += got > 0
+    assert closed >= 8

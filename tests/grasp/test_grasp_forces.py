@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import linprog, minimize
 
 import dexctl
 from dexctl.exceptions import InvalidInput
 from dexctl.grasp import grasp_forces, grasp_map
+from dexctl.grasp.cones import check_cones, primitive_wrenches
 
 OPPOSED = np.array([[0.03, 0, 0], [-0.03, 0, 0]])
 PINCH = (OPPOSED, -OPPOSED / 0.03, [1, 1], np.zeros(3))
@@ -86,6 +87,107 @@ def test_forces_balance_stay_in_their_cones_and_are_the_least(seed):
     effort = (got.forces**2).sum()
     assert best.success
     assert best.fun * (1 - 1e-6) <= effort <= best.fun * 1.08
+
+
+def anywhere(rng, count):
+    """Contacts all around a ball of 30 mm, more or less."""
+    normal = rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    spread = rng.choice([0.0, 0.003, 0.02])
+    position = -0.03 * normal + spread * rng.normal(size=(count, 3))
+    return position, normal, np.ones(count, bool), np.zeros(3)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_what_is_left_over_is_the_least_that_allowed_forces_leave(seed):
+    """No allowed force is further against what is left over: that is proved for each answer."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.choice([2, 3, 4, 5, 8, 12]))
+    contacts = anywhere(rng, count)
+    friction, most = rng.choice([0.1, 0.4, 0.8]), rng.choice([0.1, 1.0])
+    wrench = np.concatenate([[0, 0, -1.0], rng.choice([0, 0.03, 0.3]) * rng.normal(size=3)])
+    got = grasp_forces(*contacts, friction, wrench, max_normal=most)
+    assert got.normal.min() >= -1e-9 and got.normal.max() <= most + 1e-9
+    tangential = got.forces - got.normal[:, None] * contacts[1]
+    assert (np.linalg.norm(tangential, axis=-1) <= friction * got.normal + 1e-9).all()
+    cones = check_cones(*contacts, friction, "hard", 16, 0.0, None)
+    scale = np.r_[np.ones(3), np.full(3, 1 / cones.length)]
+    reached = scale * (grasp_map(contacts[0], np.zeros(3)) @ got.forces.ravel())
+    left = reached + scale * wrench
+    assert got.violation == pytest.approx(np.linalg.norm(left), abs=1e-9)
+    # of each finger the pyramid's edge that helps most, pressed as hard as it may be
+    edges = (left @ primitive_wrenches(cones)).reshape(count, -1)
+    assert left @ reached <= most * np.minimum(edges.min(axis=1), 0.0).sum() + 1e-7
+
+
+def with_torques(rng, count):
+    """A finger of three joints for each contact: Jacobians ``(m, 3, 3m)`` and limits."""
+    jacobian = np.zeros((count, 3, 3 * count))
+    for i in range(count):
+        jacobian[i, :, 3 * i : 3 * i + 3] = 0.05 * rng.normal(size=(3, 3))
+    return {"jacobian": jacobian, "effort": rng.choice([0.0, 0.02, 0.1, np.inf], size=3 * count)}
+
+
+@pytest.mark.parametrize("model", ["hard", "soft"])
+@pytest.mark.parametrize("seed", range(20))
+def test_with_torque_limits_a_linear_program_finds_no_force_that_helps_more(seed, model):
+    rng = np.random.default_rng(100 + seed)
+    count = int(rng.choice([2, 3, 5, 6]))
+    contacts, friction = anywhere(rng, count), rng.choice([0.0, 0.1, 0.6])
+    wrench = np.concatenate([[0, 0, -1.0], 0.03 * rng.normal(size=3)])
+    hand = with_torques(rng, count)
+    got = grasp_forces(*contacts, friction, wrench, max_normal=1.0, model=model, **hand)
+    assert got.torques is not None and (np.abs(got.torques) <= hand["effort"] + 1e-9).all()
+    cones = check_cones(*contacts, friction, model, 16, 0.005, None)
+    wrenches = primitive_wrenches(cones)  # (6, count * edges), of unit normal forces
+    rays = cones.rays[..., :3] @ np.swapaxes(cones.basis, -1, -2)  # their forces, world frame
+    torques = np.concatenate(
+        [j.T @ r.T for j, r in zip(hand["jacobian"], rays, strict=True)], axis=1
+    )
+    bounded = np.isfinite(hand["effort"])
+    normals = np.kron(np.eye(count), np.ones(rays.shape[1]))
+    scale = np.r_[np.ones(3), np.full(3, 1 / cones.length)]
+    reached = scale * (grasp_map(contacts[0], np.zeros(3)) @ got.forces.ravel())
+    reached[3:] += (got.twist[:, None] * contacts[1]).sum(axis=0) / cones.length
+    left = reached + scale * wrench
+    assert got.violation == pytest.approx(np.linalg.norm(left), abs=1e-9)
+    best = linprog(
+        left @ wrenches,
+        A_ub=np.vstack([torques[bounded], -torques[bounded], normals]),
+        b_ub=np.concatenate([np.tile(hand["effort"][bounded], 2), np.ones(count)]),
+        method="highs",
+    )
+    assert left @ reached <= best.fun + 1e-7
+
+
+def test_of_forces_that_balance_none_are_less():
+    """Six fingers squeezed at low friction: forces of many newtons for a weight of one."""
+    proved = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        contacts, wrench = anywhere(rng, 6), np.array([0, 0, -1.0, 0, 0, 0])
+        got = grasp_forces(*contacts, 0.3, wrench)
+        if not got.feasible:
+            continue
+        # Multipliers y of the balance prove it: |f|^2 / 2 grows along each edge of the pyramids,
+        # less what y makes of its wrench, and does not along f itself.
+        cones = check_cones(*contacts, 0.3, "hard", 16, 0.0, None)
+        rays = cones.rays[..., :3] @ np.swapaxes(cones.basis, -1, -2)
+        wrenches = primitive_wrenches(cones)
+        slope = np.einsum("mei,mi->me", rays, got.forces).ravel()
+        scale = np.r_[np.ones(3), np.full(3, 1 / cones.length)]
+        effort = (got.forces**2).sum()
+        proof = linprog(
+            scale * -wrench,
+            A_ub=-wrenches.T,
+            b_ub=slope,
+            bounds=(None, None),
+            method="highs",
+        )
+        assert proof.x is not None
+        assert -proof.fun <= effort * (1 + 1e-6) + 1e-9 and effort <= -proof.fun * (1 + 1e-6) + 1e-6
+        proved += 1
+    assert proved >= 5
 
 
 def test_joint_torque_limits_bind():

@@ -56,7 +56,6 @@ ALLOWED = {
 }
 DOORS = {
     "pinocchio": ["dexctl/hand.py"],
-    "proxsuite": ["dexctl/grasp/"],
     "casadi": ["dexctl/switch/"],
     "numba": ["dexctl/igm/compiled.py"],
     "mujoco": ["dexctl/sim/", "dexctl/description/"],

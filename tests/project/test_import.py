@@ -10,7 +10,7 @@ import pytest
 
 import dexctl
 
-HEAVY = ("casadi", "mujoco", "proxsuite", "mink", "torch", "matplotlib", "imageio", "rich", "tyro")
+HEAVY = ("casadi", "mujoco", "mink", "torch", "matplotlib", "imageio", "rich", "tyro")
 
 
 def python(code: str) -> str:
