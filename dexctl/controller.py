@@ -43,6 +43,8 @@ class Controller(ABC):
         goes_to_goals: True: it acts only where the state has a ``goal_quaternion``; False: it does
             nothing about goals; None: it does not say.
         turns_as_told: the same of a ``goal_angular_velocity``.
+        pose_age: how old the object's pose was that it has learned by [s], so that a quicker
+            tracker is better made as late; None: the newer the better.
         made_with: positional and keyword arguments of its class that it was made with, whichever
             class that is: with the class they are all that decides what it does.
     """
@@ -52,6 +54,7 @@ class Controller(ABC):
     tracks: bool = False
     goes_to_goals: bool | None = None
     turns_as_told: bool | None = None
+    pose_age: float | None = None
     made_with: tuple[tuple[Any, ...], dict[str, Any]]
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:

@@ -90,6 +90,8 @@ class UdpTracker:
     Args:
         where: port to listen on, or HOST:PORT; without a host only this machine is heard.
         most_age: older poses are stale [s].
+        least_age: of several the newest that is as old as this is told [s], which makes a quick
+            tracker as late as one that a policy has learned with.
 
     Attributes:
         bad: datagrams that could not be used.
@@ -99,7 +101,7 @@ class UdpTracker:
         InvalidInput: no such place, or somebody else listens there.
     """
 
-    def __init__(self, where: str, *, most_age: float = MOST_AGE) -> None:
+    def __init__(self, where: str, *, most_age: float = MOST_AGE, least_age: float = 0.0) -> None:
         place = parse_place(where)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -110,13 +112,14 @@ class UdpTracker:
             said = f"cannot listen for a tracker at {where}: {error.strerror}"
             raise InvalidInput(said) from None
         self.port = int(self._socket.getsockname()[1])
-        self._most_age = most_age
+        self._most_age, self._least_age = most_age, least_age
         self._asked = time.monotonic()  # when it was read last
-        self._newest: tuple[float, Floats, Floats] | None = None  # of which time, and the pose
+        # of which time, and the pose; oldest first, of those that are old enough the newest alone
+        self._told: list[tuple[float, Floats, Floats]] = []
         self.bad = 0
 
     def read(self) -> TrackedPose | None:
-        """The newest pose that has come; None: none has."""
+        """The newest pose that has come and is old enough, or the oldest; None: none has."""
         now, before = time.monotonic(), self._asked
         self._asked = now
         arrived = now if now - before <= self._most_age else before
@@ -129,11 +132,13 @@ class UdpTracker:
                 self.bad += 1
                 continue
             taken = arrived - found[0]
-            if self._newest is None or taken >= self._newest[0]:
-                self._newest = taken, found[1], found[2]
-        if self._newest is None:
+            if not self._told or taken >= self._told[-1][0]:
+                self._told.append((taken, found[1], found[2]))
+        while len(self._told) > 1 and self._told[1][0] <= now - self._least_age:
+            del self._told[0]
+        if not self._told:
             return None
-        taken, position, quaternion = self._newest
+        taken, position, quaternion = self._told[0]
         return TrackedPose(position, quaternion, taken, now - taken > self._most_age)
 
     def close(self) -> None:

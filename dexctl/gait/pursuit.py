@@ -92,6 +92,7 @@ class GoalPursuit(BatchController):
                 "does, such as the policy dex5-cube-goals"
             )
         self.reacher, self.object, self.gravity = reacher, reacher.object, reacher.gravity
+        self.pose_age = reacher.pose_age
         self._told = self.config.speed * np.array(unit_axis("z" if axis is None else axis))
         self._start(0)
 

@@ -43,8 +43,8 @@ def epsilon_quality(
     The radius of the largest ball about the origin inside the hull of the primitive wrenches,
     for normal forces that sum to 1 N (the L1 measure; the forces themselves are longer, up to
     sqrt(1 + mu^2)). Pyramids are inscribed, so it is a lower bound. 0 without force closure. It
-    builds hulls in six dimensions for each grasp, 5 to 15 ms for five fingers, up to a second for 32
-    contacts: a figure for plans and reports, not for a control loop.
+    builds hulls in six dimensions for each grasp, 5 to 15 ms for five fingers, up to a second for
+    32 contacts: a figure for plans and reports, not for a control loop.
 
     Args:
         contact_position: ``(..., m, 3)`` [m], world frame.

@@ -227,6 +227,7 @@ class HandOptions:
         held: SceneConfig | None = None,
         tactile: str | None = None,
         tracker: str | None = None,
+        pose_age: float = 0.0,
         seed: int = 0,
     ) -> Iterator[Session]:
         """The hand, open and not armed; torque is off and the bus closed when the block ends.
@@ -238,6 +239,7 @@ class HandOptions:
                 moves, and is emulated by first-order joints.
             tactile: serial port of the fingertips.
             tracker: where a real hand's tracker sends poses, `[HOST:]PORT`.
+            pose_age: how old they are to be when they are told [s].
             seed: of what is random in an emulated scene.
         """
         model, calibration = self.load()
@@ -267,7 +269,7 @@ class HandOptions:
                 source = SerialTactile(tactile, model.n_fingers, trusted_force=trusted)
                 stack.callback(source.close)
             if tracker is not None and not self.emulate:
-                poses = UdpTracker(tracker)
+                poses = UdpTracker(tracker, least_age=pose_age)
                 stack.callback(poses.close)
             port = emulator.port if emulator is not None else self.find_port()
             timeout = self.patience * (_TIMEOUT if emulator is None else _EMULATED_TIMEOUT)

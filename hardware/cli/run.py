@@ -38,7 +38,7 @@ from hardware.run_report import RunEvent, RunReport
 from hardware.runner import Runner
 from hardware.scene import ASKED, AUTO, CLOCK, HELP, HOLDING, NOTHING, OF_AN_OBJECT, POSES
 from hardware.state_machine import Event, State
-from hardware.tracking import parse_place, wait_for_pose
+from hardware.tracking import MOST_AGE, parse_place, wait_for_pose
 
 Quaternion = tuple[float, float, float, float]
 Spin = tuple[float, float, float]
@@ -77,6 +77,9 @@ class Run(HandOptions):
     tracker: str | None = None
     """Where a tracker sends the object's pose, with --object-pose tracked: UDP port of this
     machine, or HOST:PORT to listen on. An emulated hand has one of its own."""
+    tracker_age: float | None = None
+    """How old the poses are to be that the controller is told [s]: newer ones wait; none: as old
+    as in a policy's training, where its tracker was late, else as new as they come."""
     seed: int = 0
     """Seed of the random numbers of the controller, and of an emulated scene."""
     goal: Quaternion | None = None
@@ -147,6 +150,7 @@ class Run(HandOptions):
                 self.controller, controller, held.object, gravity
             ):
                 notes().print(remark)
+        held, age = self._aged(held, controller)
         period = controller.control_period
         folder = make_folder(self.out)
         keep_earlier(folder)
@@ -154,13 +158,13 @@ class Run(HandOptions):
             session = stack.enter_context(
                 self.open(
                     limits, period, held=held, tactile=self.tactile, tracker=self.tracker,
-                    seed=self.seed,
+                    pose_age=age, seed=self.seed,
                 )
             )  # fmt: skip
             if session.hand.tracker is not None:
                 wait_for_pose(session.hand.tracker, FIRST_POSE)
             log = stack.enter_context(LogWriter(folder / LOG))
-            about_it = self._about(model, calibration, limits, held, period)
+            about_it = self._about(model, calibration, limits, held, period, age)
             if self.goal is not None and session.object_pose is not None:
                 goal = multiply(unit_quaternion("goal", self.goal), session.object_pose[1])
                 about_it["goal_quaternion"] = goal.tolist()
@@ -190,11 +194,29 @@ class Run(HandOptions):
             console.print(f"the log is incomplete: {log.error}")
         return finish(found, folder, as_json=self.json)
 
+    def _aged(self, held: SceneConfig, controller: Controller) -> tuple[SceneConfig, float]:
+        """The scene with its tracker, and how old the poses are that are told [s]."""
+        age = self.tracker_age
+        if age is None:
+            age = controller.pose_age or 0.0
+        if held.sensing.object_pose != "tracked":
+            return held, 0.0
+        sensing = held.sensing
+        late = max(sensing.tracker_latency, age - sensing.sensor_latency)
+        return replace(held, sensing=replace(sensing, tracker_latency=late)), age
+
     def _check_tracker(self, pose: str) -> None:
         """InvalidInput where a real hand's tracker is missing, or there is one too many."""
         given = [path for path in self._given() if path.rpartition(".")[2] in TRACKER]
         if given and pose != "tracked":
             raise InvalidInput(f"{flags(given)}: --object-pose is {pose}; expected tracked with it")
+        if (age := self.tracker_age) is not None:
+            if pose != "tracked":
+                raise InvalidInput(
+                    f"--tracker-age is {age} and --object-pose {pose}; expected tracked with it"
+                )
+            if not 0.0 <= age < MOST_AGE:
+                raise InvalidInput(f"--tracker-age is {age}; expected 0 to less than {MOST_AGE} s")
         if self.tracker is None:
             if pose == "tracked" and not self.emulate:
                 raise InvalidInput(
@@ -240,11 +262,13 @@ class Run(HandOptions):
         limits: Limits,
         held: SceneConfig,
         period: float,
+        age: float,
     ) -> dict[str, Any]:
         return about(self, self.controller, model, calibration, limits, held) | {
             "object": held.object[0],
             "palm": held.palm,
             "touch": held.sensing.touch,
+            "tracker_age_s": age,
             "rate_hz": 1.0 / period,
             "seed": self.seed,
         }

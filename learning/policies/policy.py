@@ -250,6 +250,7 @@ class Policy(Controller):
         self.card = dict(card or {})
         self.observation = Observation.from_dict(hand, spec.observation)
         self.tracks = bool(set(POSES) & set(self.observation.parts))
+        self.pose_age = _trained_age(self.card) if self.tracks else None
         self.action = SetPointAction(hand, **spec.action)
         self.history = History(self.observation.size, spec.history)
         self.layers = check_layers(layers, self.history.size, hand.nq)
@@ -445,6 +446,16 @@ def _trained_axis(
         return unit_axis(only)
     except (LookupError, TypeError, ValueError, AttributeError):
         return None
+
+
+def _trained_age(card: Mapping[str, Any]) -> float | None:
+    """How late the tracker of a policy's training was [s]; None: not at all, or it had none."""
+    try:
+        sensing = card["trained"]["env"]["scene"]["sensing"]
+        late = float(sensing["tracker_latency"]) if sensing["object_pose"] == "tracked" else 0.0
+    except (LookupError, TypeError, ValueError):
+        return None
+    return late if late > 0 else None
 
 
 def _twisted(card: Mapping[str, Any]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,13 @@ import numpy as np
 import pytest
 
 import dexctl
+from dexctl.cli import main
 from dexctl.exceptions import InvalidInput
+from dexctl.gait import GoalPursuit
+from dexctl.sim import SceneConfig
+from dexctl.sim.sensing import Sensing
 from hardware.cli.options import HandOptions, busy
-from hardware.cli.run import make_controller
+from hardware.cli.run import Run, make_controller
 from hardware.figures import figures_of_merit, in_words
 from hardware.log import LogWriter, read_log
 from hardware.report import build
@@ -148,6 +153,46 @@ def test_a_real_hand_has_what_a_tracker_told(tmp_path: Path) -> None:
             told = {"tracked_position": [0.0, 0.0, 0.13], "tracked_quaternion": turned}
             log.write("/tick", tick(i, **told, diagnostics=other))
     assert figures_of_merit(read_log(tmp_path / "a.mcap"))["rotation_rad"] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--object-pose touch --tracker-age 0.1", "--tracker-age is 0.1 and --object-pose touch"),
+        ("--object-pose tracked --tracker-age 0.3", "--tracker-age is 0.3; expected 0 to less"),
+        ("--object-pose tracked --tracker-age nan", "--tracker-age is nan; expected 0 to less"),
+    ],
+)
+def test_ages_of_poses_that_are_refused(
+    words: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = f"hardware run dex5-seen --emulate --object cube {words}"
+    assert main(told.split()) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_poses_are_told_as_old_as_a_policy_has_learned_by(dex5: dexctl.HandModel) -> None:
+    policy = policies.load("dex5-cube-goals", hand=dex5)
+    assert policy.pose_age is None
+    card = deepcopy(policy.card)
+    card["trained"]["env"]["scene"]["sensing"]["tracker_latency"] = 0.1
+    late = policies.Policy(dex5, policy.layers, policy.spec, card)
+    assert late.pose_age == 0.1
+    for controller, asked, sensing, age, latency in (
+        (policy, None, {}, 0.0, 0.0),
+        (late, None, {}, 0.1, 0.1),
+        (GoalPursuit(dex5, reacher=late), None, {}, 0.1, 0.1),
+        (late, 0.0, {}, 0.0, 0.0),
+        (late, None, {"tracker_latency": 0.2}, 0.1, 0.2),
+        (late, None, {"sensor_latency": 0.04}, 0.1, 0.06),
+        (late, None, {"object_pose": "touch"}, 0.0, 0.0),
+    ):
+        scene = SceneConfig(sensing=Sensing(**{"object_pose": "tracked", **sensing}))
+        run = Run(controller="a policy", emulate=True, tracker_age=asked)
+        held, found = run._aged(scene, controller)
+        assert (found, held.sensing.tracker_latency) == (age, pytest.approx(latency))
+    card["trained"]["env"]["scene"]["sensing"]["object_pose"] = "touch"
+    assert policies.Policy(dex5, policy.layers, policy.spec, card).pose_age is None
 
 
 def test_a_busy_machine_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,6 +107,27 @@ def test_the_newest_counts_and_grows_stale(tracker: UdpTracker) -> None:
     assert pose is not None and pose.stale
 
 
+def test_a_quick_tracker_is_made_as_late_as_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses 40 ms apart, each told when it is 100 ms old; the oldest one until there is such."""
+    tracker = UdpTracker("0", least_age=0.1)
+    clock = [time.monotonic()]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    told = []
+    for i in range(8):
+        clock[0] += 0.04
+        send(tracker, pose_line((i + 1) * P, Q, 0.01))
+        pose = tracker.read()
+        assert pose is not None and not pose.stale
+        told.append(round(float(pose.position[0] / P[0])))
+        # the third is told 90 ms after its picture: when it is read next it is 130 ms old
+        assert clock[0] - pose.time < 0.14
+    assert told == [1, 1, 1, 1, 2, 3, 4, 5]
+    clock[0] += 0.25  # nothing has come: the newest that is old enough
+    pose = tracker.read()
+    assert pose is not None and round(float(pose.position[0] / P[0])) == 8 and not pose.stale
+    tracker.close()
+
+
 def test_what_has_waited_is_as_old_as_the_last_look(tracker: UdpTracker) -> None:
     tracker.read()
     send(tracker, pose_line(P, Q))
