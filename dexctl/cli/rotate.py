@@ -99,9 +99,9 @@ class Rotate:
             film, scene = Film(), scene_of(sim)
             trace = self._simulate(sim, controller, film)
         summary = summarise_batch(trace)
-        found = self._as_dict(scene, summary)
+        found = self._as_dict(config, scene, summary)
         if folder is not None:
-            self._write(folder, scene, trace, summary, found)
+            self._write(folder, config, scene, trace, summary, found)
         if self.json:
             print_json(found)
         else:
@@ -131,13 +131,13 @@ class Rotate:
                 progress=lambda now: bar.update(task, completed=now),
             )
 
-    def _as_dict(self, scene: Scene, summary: BatchSummary) -> dict[str, Any]:
+    def _as_dict(self, config: SceneConfig, scene: Scene, summary: BatchSummary) -> dict[str, Any]:
         from dexctl.report.machine import machine
 
         return {
             "command": "rotate",
             "controller": self.controller,
-            **describe(self.scene, scene),
+            **describe(config, scene),
             "axis": unit_axis(self.axis),
             "seconds": self.seconds,
             "seeds": [self.seed, self.seed + self.num_envs - 1],
@@ -146,7 +146,13 @@ class Rotate:
         }
 
     def _write(
-        self, folder: Path, scene: Scene, trace: Trace, summary: BatchSummary, found: dict[str, Any]
+        self,
+        folder: Path,
+        config: SceneConfig,
+        scene: Scene,
+        trace: Trace,
+        summary: BatchSummary,
+        found: dict[str, Any],
     ) -> None:
         from dexctl.files import write_text
         from dexctl.report import batch
@@ -156,7 +162,7 @@ class Rotate:
             self.controller,
             trace,
             summary,
-            config=self.scene,
+            config=config,
             scene=scene,
             axis=self.axis,
             seconds=self.seconds,

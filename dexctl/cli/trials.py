@@ -117,7 +117,11 @@ def make_controller(
 
 
 def paced(config: SceneConfig, controller: Controller) -> SceneConfig:
-    """The scene at the controller's own pace, with physics steps as long as before."""
+    """The scene at the controller's own pace, with physics steps as long as before.
+
+    Its tracker is as late as the one that a policy has learned by, if it is not later.
+    """
+    config = replace(config, sensing=config.sensing.aged(controller.pose_age or 0.0))
     period = controller.control_period
     if np.isclose(period, config.control_period):
         return config

@@ -92,6 +92,12 @@ class Sensing:
         """Whether what is sensed differs from the truth."""
         return any(getattr(self, name) > 0 for name in NOISES)
 
+    def aged(self, age: float) -> Sensing:
+        """With a tracker whose poses are at least this old [s], as `Controller.pose_age` is."""
+        if self.object_pose != "tracked":
+            return self
+        return replace(self, tracker_latency=max(self.tracker_latency, age - self.sensor_latency))
+
 
 NOISES = ("joint_noise", "position_noise", "normal_noise", "force_noise", "force_noise_share")
 """The settings of `Sensing` that are noise of joints and touch."""

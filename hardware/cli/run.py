@@ -201,9 +201,7 @@ class Run(HandOptions):
             age = controller.pose_age or 0.0
         if held.sensing.object_pose != "tracked":
             return held, 0.0
-        sensing = held.sensing
-        late = max(sensing.tracker_latency, age - sensing.sensor_latency)
-        return replace(held, sensing=replace(sensing, tracker_latency=late)), age
+        return replace(held, sensing=held.sensing.aged(age)), age
 
     def _check_tracker(self, pose: str) -> None:
         """InvalidInput where a real hand's tracker is missing, or there is one too many."""

@@ -12,8 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import dexctl
 from dexctl.cli import main
-from dexctl.sim import GraspStates, Scene
+from dexctl.cli.trials import paced
+from dexctl.sim import GraspStates, Scene, SceneConfig
+from dexctl.sim.sensing import Sensing
+from learning import policies
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -200,6 +204,22 @@ def test_check_grasp_of_a_file(run: Run, grasps: Path, tmp_path: Path) -> None:
         done = run(*arguments, *more)
         assert done.returncode == 2
         assert said in one_line(done)
+
+
+def test_rotate_tells_poses_as_old_as_a_policy_has_learned_by(dex5: dexctl.HandModel) -> None:
+    policy = policies.load("dex5-easy-any", hand=dex5)
+    usual = paced(SceneConfig(), policy)
+    assert usual.control_period == 0.05 and usual.sensing.tracker_latency == 0.0
+    policy.pose_age = 0.1
+    for sensing, latency in (
+        (Sensing(), 0.1),
+        (Sensing(tracker_latency=0.2), 0.2),
+        (Sensing(sensor_latency=0.04), 0.06),
+        (Sensing(sensor_latency=0.2), 0.0),
+        (Sensing(object_pose="touch"), 0.0),
+    ):
+        late = paced(SceneConfig(sensing=sensing), policy).sensing
+        assert late.tracker_latency == pytest.approx(latency)
 
 
 def test_rotate_about_another_axis_with_limits(run: Run, tmp_path: Path) -> None:
