@@ -76,6 +76,8 @@ class Subject:
     def protocol(self, **changes: Any) -> Protocol:
         """As in training, but undisturbed: without noise, late sensors, pushes and given starts.
 
+        Only a tracker by which it has learned is as late as it was then (`Controller.pose_age`).
+
         Where nobody knows how it was trained, and for a controller, it is the standard one.
 
         Args:
@@ -90,6 +92,8 @@ class Subject:
             base = replace(
                 base, scene=replace(env.scene.undisturbed(), threads=None), task=env.task
             )
+        sensing = base.scene.sensing.aged(self.controller.pose_age or 0.0)
+        base = replace(base, scene=replace(base.scene, sensing=sensing))
         own: dict[str, Any] = {"hand": self.hand}
         own["control_period"] = float(self.controller.control_period)
         if self.controller.object is not None:

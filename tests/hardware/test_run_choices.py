@@ -172,12 +172,9 @@ def test_ages_of_poses_that_are_refused(
 
 
 def test_poses_are_told_as_old_as_a_policy_has_learned_by(dex5: dexctl.HandModel) -> None:
-    policy = policies.load("dex5-cube-goals", hand=dex5)
-    assert policy.pose_age is None
-    card = deepcopy(policy.card)
-    card["trained"]["env"]["scene"]["sensing"]["tracker_latency"] = 0.1
-    late = policies.Policy(dex5, policy.layers, policy.spec, card)
-    assert late.pose_age == 0.1
+    policy = policies.load("dex5-cube-goals-touch", hand=dex5)
+    late = policies.load("dex5-cube-goals", hand=dex5)
+    assert policy.pose_age is None and late.pose_age == 0.1
     for controller, asked, sensing, age, latency in (
         (policy, None, {}, 0.0, 0.0),
         (late, None, {}, 0.1, 0.1),
@@ -191,8 +188,9 @@ def test_poses_are_told_as_old_as_a_policy_has_learned_by(dex5: dexctl.HandModel
         run = Run(controller="a policy", emulate=True, tracker_age=asked)
         held, found = run._aged(scene, controller)
         assert (found, held.sensing.tracker_latency) == (age, pytest.approx(latency))
+    card = deepcopy(late.card)
     card["trained"]["env"]["scene"]["sensing"]["object_pose"] = "touch"
-    assert policies.Policy(dex5, policy.layers, policy.spec, card).pose_age is None
+    assert policies.Policy(dex5, late.layers, late.spec, card).pose_age is None
 
 
 def test_a_busy_machine_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
