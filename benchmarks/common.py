@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import tyro
+from poses import Pose, known
 
 from dexctl.controller import Controller
 from dexctl.exceptions import DexctlError, InvalidInput
@@ -474,7 +475,8 @@ def measure_by_palm(
         save: (rows, given, say=) writes the result.
     """
     rows = earlier(name, given, fixed)
-    done = {(row["who"], row["palm"], row["seed"]) for row in rows}
+    own = [row for row in rows if row.get("pose") in (None, getattr(given, "pose", None))]
+    done = {(row["who"], row["palm"], row["seed"]) for row in own}
     wanted = [
         (who, palm, number, given)
         for who, palm, number in product(given.who, given.palms, range(given.trials))
@@ -487,10 +489,16 @@ def measure_by_palm(
     save(rows, given, say=True)
 
 
-def by_touch(who: str, thing: str, palm: str, seed: int, given: Any, *told: str) -> dict[str, Any]:
-    """One `emulated_run` with an object that is tracked by touch, and encoders that are off."""
+def seen_or_felt(
+    who: str, thing: str, palm: str, seed: int, given: Any, *told: str, pose: Pose = "touch"
+) -> dict[str, Any]:
+    """One `emulated_run` with an object whose pose is known so, and encoders that are off."""
+    words = []
+    for name, value in known(pose).items():
+        if name == "object_pose" or value:
+            words += [f"--{name.replace('_', '-')}", str(value)]
     return emulated_run(
-        who, "--object", thing, "--gravity", palm, "--object-pose", "touch", *told,
+        who, "--object", thing, "--gravity", palm, *words, *told,
         "--seconds", f"{given.seconds:g}", "--seed", str(seed),
         "--joint-offset", f"{given.joint_offset:g}",
     )  # fmt: skip

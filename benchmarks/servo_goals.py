@@ -1,15 +1,16 @@
-"""A cube brought to its orientations on the emulated servo hand, tracked by touch alone.
+"""A cube brought to its orientations on the emulated servo hand.
 
 Each trial is the command `dexctl hardware run --emulate --object-pose touch --goal ...`, in real
 time: bus, runner, servos with 0.6 rad/s, 0.5 N m, 50 ms from a set-point to its effect, touch from
-1 N on, joint origins that are off, and no camera. The goals are the orientations in which a cube
-looks as it does in the grasp; whether it is there is judged by where the emulator has it.
+1 N on, joint origins that are off, and no camera; with ``--pose late`` there is one. The goals are
+the orientations in which a cube looks as it does in the grasp; whether it is there is judged by
+where the emulator has it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from common import (
@@ -17,13 +18,14 @@ from common import (
     PALMS,
     Figure,
     Settings,
-    by_touch,
     measure_by_palm,
     percent_interval,
+    seen_or_felt,
     settings,
     share,
     write,
 )
+from poses import BY_LATE
 from scipy.spatial.transform import Rotation
 
 NEAR = 0.2
@@ -48,6 +50,8 @@ class Options(Settings):
     """Which way the palm looks."""
     joint_offset: float = 0.03
     """Standard deviation of what encoders read at zero [rad]."""
+    pose: Literal["touch", "late"] = "touch"
+    """How the cube's pose is known; late: by a tracker 100 ms late, 3 mm and 0.05 rad off."""
     jobs: int = 2
     """Trials at a time."""
 
@@ -62,11 +66,12 @@ def trial(who: str, palm: str, number: int, given: Options) -> dict[str, Any]:
     """One run to one goal."""
     goal, seed = goals()[number], given.seed + number
     words = ("--goal", *(f"{one:.6f}" for one in goal))
-    found = by_touch(who, "cube", palm, seed, given, *words)
+    found = seen_or_felt(who, "cube", palm, seed, given, *words, pose=given.pose)
     figures = found["figures"]
     return {
         "who": who,
         "palm": palm,
+        "pose": given.pose,
         "seed": seed,
         "goal": list(goal),
         "reached_at_s": figures.get("goal_reached_at_s"),
@@ -77,23 +82,29 @@ def trial(who: str, palm: str, number: int, given: Options) -> dict[str, Any]:
     }
 
 
+def kind(row: dict[str, Any]) -> tuple[str, str, str]:
+    """Who, with which palm, by which pose; those of earlier results are by touch."""
+    return row["who"], row["palm"], row.get("pose", "touch")
+
+
 def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
     """Write the result with the trials so far."""
     figures, lines = [], []
-    for who, palm in dict.fromkeys((row["who"], row["palm"]) for row in rows):
-        mine = [row for row in rows if (row["who"], row["palm"]) == (who, palm)]
+    for who, palm, pose in dict.fromkeys(map(kind, rows)):
+        mine = [row for row in rows if kind(row) == (who, palm, pose)]
+        by = "no camera" if pose == "touch" else BY_LATE
         reached = share(np.array([row["reached_at_s"] is not None for row in mine]))
         stayed = share(np.array([row["left_rad"] < NEAR for row in mine]))
         kept = share(np.array([row["lost_at_s"] is None for row in mine]))
         # one that is not reached counts as the time there was
         time = float(np.median([row["reached_at_s"] or given.seconds for row in mine]))
         lines.append(
-            [who, palm, str(len(mine)), percent_interval(reached), f"{time:.1f}",
+            [who, palm, pose, str(len(mine)), percent_interval(reached), f"{time:.1f}",
              percent_interval(stayed), percent_interval(kept)]
         )  # fmt: skip
         figures.append(
             Figure(
-                f"emulated servo hand, no camera, {who}: orientations of a cube come to within "
+                f"emulated servo hand, {by}, {who}: orientations of a cube come to within "
                 f"{NEAR} rad, palm {palm}, {given.seconds:g} s",
                 f"{percent_interval(reached)}, median {time:.1f} s",
                 "80 % of them",
@@ -102,10 +113,10 @@ def save(rows: list[dict[str, Any]], given: Options, *, say: bool) -> None:
         )
     table = {
         "title": "The emulated servo hand brings a cube to its other orientations, tracked by "
-        "touch: 0.6 rad/s, 0.5 N m, 50 ms, touch from 1 N, joint origins off by "
-        f"{given.joint_offset:g} rad (standard deviation), a run of {given.seconds:g} s for each",
+        f"touch or late ({BY_LATE}): 0.6 rad/s, 0.5 N m, 50 ms, touch from 1 N, joint origins off "
+        f"by {given.joint_offset:g} rad (standard deviation), a run of {given.seconds:g} s each",
         "header": [
-            "", "palm", "goals", f"within {NEAR} rad", "after [s], with the approach",
+            "", "palm", "pose", "goals", f"within {NEAR} rad", "after [s], with the approach",
             f"within {NEAR} rad at the end", "held",
         ],
         "rows": lines,

@@ -17,10 +17,10 @@ from common import (
     PALMS,
     Figure,
     Settings,
-    by_touch,
     measure_by_palm,
     over_seeds,
     percent_interval,
+    seen_or_felt,
     settings,
     share,
     write,
@@ -63,7 +63,7 @@ def trial(who: str, palm: str, number: int, given: Options) -> dict[str, Any]:
     axis, seed = np.array(AXES[number]), given.seed + number
     spin = given.speed * axis / np.linalg.norm(axis)
     words = ("--spin", *(f"{one:.6f}" for one in spin))
-    found = by_touch(who, given.object, palm, seed, given, *words)
+    found = seen_or_felt(who, given.object, palm, seed, given, *words)
     figures = found["figures"]
     return {
         "who": who,
