@@ -178,7 +178,7 @@ def test_a_log_says_the_limits_of_each_joint(weak: str, tmp_path: Path) -> None:
     asked = Run(controller="sine", emulate=True)
     asked.scene = replace(asked.scene, hand=weak)
     model, calibration = asked.load()
-    about = asked._about(model, calibration, asked.limits(), asked.held(), 0.02)
+    about = asked._about(model, calibration, asked.limits(), asked.held(), 0.02, 0.0)
     torque = own(model, 0.5, ffj0=0.1, ffj1=0.2)
     assert about["joint_limits"]["torque_limit"] == torque.tolist()
     assert (about["stiffness_nm_per_rad"], about["damping_nms_per_rad"]) == (1.5, 0.08)
