@@ -118,4 +118,11 @@ def _held_by(rows: Floats, upper: Floats, tight: Bools) -> tuple[Floats, bool]:
     if not (rows @ step <= upper + _ACCURACY * np.maximum(longest, np.abs(upper))).all():
         return step, False
     pushes = np.linalg.lstsq(held.T, -step, rcond=_INDEPENDENT)[0]
-    return step, bool((pushes >= -_ACCURACY * longest).all())
+    if (pushes >= -_ACCURACY * longest).all():
+        return step, True
+    # Rows that depend on each other push in many ways; that no push pulls need hold for one.
+    try:
+        pushes, _ = nnls(held.T, -step, maxiter=_STEPS * sum(held.shape))
+    except RuntimeError:
+        return step, False
+    return step, bool(np.abs(pushes @ held + step).max() <= _ACCURACY * longest)
