@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 OBJECTS = ("cube", "sphere", "cylinder")
 """What a hand may be to hold where nobody says: the one that it turns furthest."""
+_SERVO = "servo"  # what notes of the simulator that are about servos have in them
 _SOFT = 0.75  # share of the stiffness that a joint needs, below which it gets that
 
 
@@ -105,6 +106,8 @@ class Add:
         config, mended = with_gains(config, reasons)
         for note in mended:
             say(note)
+        if others := [note for note in mended if _SERVO not in note]:
+            reasons[""] += f" The simulator says: {'; '.join(others)}."
         failure, scene, hand = None, None, config.build()
         if self.grasp:
             try:
@@ -187,9 +190,10 @@ def with_gains(config: HandConfig, reasons: dict[str, str]) -> tuple[HandConfig,
     """
     try:
         scene = _alone(config.build())
-        if any("position servos added" in note for note in scene.notes):
+        if any(f"position {_SERVO}s added" in note for note in scene.notes):
             config = replace(config, servos=_servos(scene, config.servos))
-            reasons["servos"] = "The file has no position servos: " + "; ".join(scene.notes)
+            of_servos = [note for note in scene.notes if _SERVO in note]
+            reasons["servos"] = "The file has no position servos: " + "; ".join(of_servos)
         for setting, needed, why in (
             (
                 "stiffness",

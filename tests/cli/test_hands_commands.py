@@ -99,6 +99,7 @@ def test_what_the_simulator_mends_is_said(
     out, err = capsys.readouterr()
     said = "loose bodies of the file left out: toy"
     assert json.loads(out)["notes"] == [said] and said in err
+    assert f"The simulator says: {said}." in " ".join(toml.read_text().replace("#", " ").split())
 
 
 def test_a_fingertip_whose_mesh_is_missing_is_not_left_out(
