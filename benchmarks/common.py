@@ -475,8 +475,10 @@ def measure_by_palm(
         save: (rows, given, say=) writes the result.
     """
     rows = earlier(name, given, fixed)
-    own = [row for row in rows if row.get("pose") in (None, getattr(given, "pose", None))]
-    done = {(row["who"], row["palm"], row["seed"]) for row in own}
+    pose = getattr(given, "pose", "touch")
+    done = {
+        (row["who"], row["palm"], row["seed"]) for row in rows if row.get("pose", "touch") == pose
+    }
     wanted = [
         (who, palm, number, given)
         for who, palm, number in product(given.who, given.palms, range(given.trials))
@@ -493,10 +495,8 @@ def seen_or_felt(
     who: str, thing: str, palm: str, seed: int, given: Any, *told: str, pose: Pose = "touch"
 ) -> dict[str, Any]:
     """One `emulated_run` with an object whose pose is known so, and encoders that are off."""
-    words = []
-    for name, value in known(pose).items():
-        if name == "object_pose" or value:
-            words += [f"--{name.replace('_', '-')}", str(value)]
+    settled = known(pose).items()
+    words = [word for name, one in settled for word in (f"--{name.replace('_', '-')}", str(one))]
     return emulated_run(
         who, "--object", thing, "--gravity", palm, *words, *told,
         "--seconds", f"{given.seconds:g}", "--seed", str(seed),

@@ -42,8 +42,8 @@ from dexctl.grasp.cones import (
 
 EFFORT = 1e-6  # weight of the squared forces beside the wrench left over, for the peers
 BROKEN = 1e-6  # of a limit [N]
-_PACKAGES = {"proxqp": "proxsuite"}
 WORSE = 1e-4  # of the squared wrench left over [N^2]
+_PACKAGES = {"proxqp": "proxsuite"}  # of solvers that are called otherwise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +66,7 @@ class Case(NamedTuple):
     contacts: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     friction: float
     wrench: np.ndarray
+    asked: np.ndarray  # the same with torques over the length
     max_normal: float
     cones: FrictionalContacts
     program: Problem
@@ -90,7 +91,7 @@ def case(rng: np.random.Generator, count: int) -> Case:
         np.vstack([np.kron(np.eye(count), rows), normals]),
         np.concatenate([np.zeros(count * len(rows)), np.full(count, most)]),
     )
-    return Case(contacts, friction, wrench, most, cones, program)
+    return Case(contacts, friction, wrench, asked, most, cones, program)
 
 
 def ours(one: Case) -> np.ndarray:
@@ -113,9 +114,8 @@ def is_right(one: Case, forces: np.ndarray | None) -> bool:
     local = np.einsum("mij,mi->mj", one.cones.basis, forces)
     if (one.program.G @ local.ravel() - one.program.h).max() > BROKEN:
         return False
-    asked = np.r_[one.wrench[:3], one.wrench[3:] / one.cones.length]
     reached = np.einsum("mij,mj->i", one.cones.maps, local)
-    left = reached + asked
+    left = reached + one.asked
     edges = (left @ primitive_wrenches(one.cones)).reshape(len(forces), -1)
     helps = one.max_normal * np.minimum(edges.min(axis=1), 0.0).sum()
     return bool(left @ reached <= helps + WORSE)
@@ -200,6 +200,7 @@ def table_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def figures_of(rows: list[dict[str, Any]], hulls: list[dict[str, Any]]) -> list[Figure]:
+    """A line for each number of contacts, of forces and of hulls."""
     out = []
     for row in rows:
         sides = ", ".join(

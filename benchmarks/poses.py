@@ -17,14 +17,6 @@ def by_tracker(late: float, place: float, turn: float) -> str:
 BY_LATE = by_tracker(*LATE.values())
 
 
-def known(pose: Pose, age: float | None = None) -> dict[str, Any]:
-    """Settings of the scene's sensing.
-
-    Args:
-        pose: how it is known; tracked: exactly, and at once.
-        age: as a controller has it that has learned by older poses, which it is told then, too.
-    """
-    if pose == "late":
-        return {"object_pose": "tracked", **LATE}
-    late = age if pose == "tracked" and age is not None else 0.0
-    return {"object_pose": pose, **dict.fromkeys(LATE, 0.0), "tracker_latency": late}
+def known(pose: Pose) -> dict[str, Any]:
+    """Settings of the scene's sensing, beside those of a subject's own protocol."""
+    return {"object_pose": "tracked", **LATE} if pose == "late" else {"object_pose": pose}

@@ -147,7 +147,7 @@ def measure(subject: Subject, asked: Asked, given: Options) -> dict[str, Any]:
             "object": asked.object,
             "gravity": "up" if asked.palm == "any" else asked.palm,
             "gravity_tilt": pi if asked.palm == "any" else 0.0,
-            **known(asked.pose, subject.controller.pose_age),
+            **known(asked.pose),
             "episodes": given.trials,
             "seconds": asked.seconds,
             "seed": given.seed,

@@ -107,7 +107,7 @@ def measure(subject: Subject, asked: Asked, given: Options) -> dict[str, Any]:
             "object": asked.object,
             "gravity": "up" if any_way else asked.palm,
             "gravity_tilt": pi if any_way else 0.0,
-            **known(asked.pose, subject.controller.pose_age),
+            **known(asked.pose),
             "episodes": given.trials,
             "seconds": given.seconds,
             "seed": given.seed,

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 OBJECTS = ("cube", "sphere", "cylinder")
 """What a hand may be to hold where nobody says: the one that it turns furthest."""
-_SERVO = "servo"  # what notes of the simulator that are about servos have in them
 _SOFT = 0.75  # share of the stiffness that a joint needs, below which it gets that
 
 
@@ -106,7 +105,7 @@ class Add:
         config, mended = with_gains(config, reasons)
         for note in mended:
             say(note)
-        if others := [note for note in mended if _SERVO not in note]:
+        if others := [note for note in mended if not about_servos(note)]:
             reasons[""] += f" The simulator says: {'; '.join(others)}."
         failure, scene, hand = None, None, config.build()
         if self.grasp:
@@ -190,10 +189,10 @@ def with_gains(config: HandConfig, reasons: dict[str, str]) -> tuple[HandConfig,
     """
     try:
         scene = _alone(config.build())
-        if any(f"position {_SERVO}s added" in note for note in scene.notes):
+        if any("position servos added" in note for note in scene.notes):
             config = replace(config, servos=_servos(scene, config.servos))
-            of_servos = [note for note in scene.notes if _SERVO in note]
-            reasons["servos"] = "The file has no position servos: " + "; ".join(of_servos)
+            added = "; ".join(filter(about_servos, scene.notes))
+            reasons["servos"] = f"The file has no position servos: {added}"
         for setting, needed, why in (
             (
                 "stiffness",
@@ -214,6 +213,11 @@ def with_gains(config: HandConfig, reasons: dict[str, str]) -> tuple[HandConfig,
     except DexctlError:
         return config, ()
     return config, scene.notes
+
+
+def about_servos(note: str) -> bool:
+    """Whether what a scene notes is told with the servos in the toml, and not at its head."""
+    return "servo" in note
 
 
 def _alone(hand: HandModel) -> Scene:

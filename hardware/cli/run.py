@@ -201,6 +201,8 @@ class Run(HandOptions):
             age = controller.pose_age or 0.0
         if held.sensing.object_pose != "tracked":
             return held, 0.0
+        if not 0.0 <= age < MOST_AGE:
+            raise InvalidInput(f"--tracker-age is {age}; expected 0 to less than {MOST_AGE} s")
         return replace(held, sensing=held.sensing.aged(age)), age
 
     def _check_tracker(self, pose: str) -> None:
@@ -208,13 +210,9 @@ class Run(HandOptions):
         given = [path for path in self._given() if path.rpartition(".")[2] in TRACKER]
         if given and pose != "tracked":
             raise InvalidInput(f"{flags(given)}: --object-pose is {pose}; expected tracked with it")
-        if (age := self.tracker_age) is not None:
-            if pose != "tracked":
-                raise InvalidInput(
-                    f"--tracker-age is {age} and --object-pose {pose}; expected tracked with it"
-                )
-            if not 0.0 <= age < MOST_AGE:
-                raise InvalidInput(f"--tracker-age is {age}; expected 0 to less than {MOST_AGE} s")
+        if self.tracker_age is not None and pose != "tracked":
+            said = f"--tracker-age is {self.tracker_age} and --object-pose {pose}"
+            raise InvalidInput(f"{said}; expected tracked with it")
         if self.tracker is None:
             if pose == "tracked" and not self.emulate:
                 raise InvalidInput(

@@ -532,3 +532,23 @@ def test_readme_without_comments_is_an_error(tmp_path: Path) -> None:
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "expected one <!-- figures:begin -->" in line
+
+
+def test_trials_by_another_pose_are_not_taken_for_those_that_are_wanted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows from before there was a choice are by touch; they kept those by a tracker undone."""
+    monkeypatch.syspath_prepend(FOLDER)
+    common, servo_goals = (importlib.import_module(name) for name in ("common", "servo_goals"))
+    old = {"who": "a", "palm": "up", "seed": 40_000}
+    monkeypatch.setattr(common, "earlier", lambda *_: [old])
+    monkeypatch.setattr(common, "progress", lambda *_: None)
+    for pose, tried in (("late", 1), ("touch", 0)):
+        given = servo_goals.Options(who=("a",), palms=("up",), trials=1, pose=pose, out=tmp_path)
+        kept: list[int] = []
+        common.measure_by_palm(
+            "servo_goals", given, (),
+            lambda who, palm, number, given: {"who": who, "palm": palm, "pose": given.pose},
+            lambda rows, given, say, kept=kept: kept.append(len(rows)),
+        )  # fmt: skip
+        assert kept[-1] - 1 == tried
