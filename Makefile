@@ -8,7 +8,7 @@ bin := $(VENV)/bin
 demo_stamp := $(VENV)/.installed-demo
 stamp := $(VENV)/.installed
 # the table of figures comes last: it is made from what the others wrote
-benchmarks = $(filter-out %/common.py %/__init__.py %/readme.py %/learner_profile.py %/stock.py %/sides.py %/judo_side.py %/devices.py,$(sort $(wildcard benchmarks/*.py))) \
+benchmarks = $(filter-out %/readme.py %/devices.py,$(sort $(wildcard benchmarks/*.py))) \
 	benchmarks/readme.py
 
 .PHONY: help demo test test-slow lint format bench docs venv clean

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 
-from common import PALMS, Settings, measure_in_scenes, settings, trials
+from measuring.settings import Settings, settings
+from measuring.trials import PALMS, measure_in_scenes, trials
 
 import dexctl
 from dexctl.gait import CoordinatedGait, CoordinatedGaitConfig

@@ -19,7 +19,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from common import Figure, Settings, measure_with_seeds, settings, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, settings
+from measuring.trainings import measure_with_seeds
 
 from dexctl.settings import to_plain
 from dexctl.sim.scene_config import SceneConfig
@@ -141,7 +143,7 @@ def config(name: str, seed: int, given: Options) -> TrainConfig:
 def measure(name: str, seed: int, given: Options) -> dict[str, Any]:
     """Train both sides in turns, and evaluate both."""
     import torch
-    from sides import build, gymnasium_vector, returns
+    from measuring.sides import build, gymnasium_vector, returns
 
     from learning.envs.vector import make_vector
 

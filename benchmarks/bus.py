@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import Figure, Settings, in_turns, settings, spread, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, settings
+from measuring.timing import in_turns, spread
 
 from hardware import registers as R  # noqa: N812 (a table of names)
 from hardware.bus import Bus

@@ -12,17 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import (
-    Figure,
-    Settings,
-    earlier,
-    over_seeds,
-    percent_interval,
-    progress,
-    settings,
-    share,
-    write,
-)
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import over_seeds, percent_interval, share
 
 from dexctl.settings import changed
 from learning.config import TrainConfig, recipe

@@ -20,8 +20,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from common import ENGINES, Figure, Settings, engines, in_turns, progress, settings, spread, write
 from igm_latency import states
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
+from measuring.timing import ENGINES, engines, in_turns, spread
 
 import dexctl
 from dexctl.grasp import solve_stability, solve_stability_batch

@@ -11,20 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import (
-    FULL_TURN,
-    Figure,
-    Settings,
-    check_chosen,
-    earlier,
-    over_seeds,
-    percent_interval,
-    progress,
-    settings,
-    share,
-    write,
-)
-from poses import BY_LATE, LATE
+from measuring.poses import BY_LATE, LATE
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, check_chosen, progress, settings
+from measuring.statistics import over_seeds, percent_interval, share
+from measuring.trials import FULL_TURN
 
 from dexctl.controllers import paced
 from dexctl.files import aside
@@ -228,6 +219,7 @@ def measure(who: str, chosen: str, turned: str, given: Options) -> dict[str, Any
         "time_held_s": over_seeds(found.time_held),
         "fingertips_only": round(float(found.fingertips_only.mean()), 4),
         "drift_mm": over_seeds(1000.0 * found.drift),
+        "mean_drift_mm": over_seeds(1000.0 * found.mean_drift),
         "sink_mm": over_seeds(1000.0 * found.sink),
         **curves,
     }
@@ -316,7 +308,11 @@ def _figures(
         drift = max(row["drift_mm"]["median"] for row in mine)
         goal += f", drift under {condition.drift:g} mm, only fingertips in "
         goal += f"{100 * condition.fingertips:g} %"
-        measured += f", {drift:.0f} mm, {100 * tips:.1f} %"
+        measured += f", {drift:.0f} mm"
+        if all("mean_drift_mm" in row for row in mine):
+            mean = max(row["mean_drift_mm"]["median"] for row in mine)
+            measured += f" ({mean:.0f} on average)"
+        measured += f", {100 * tips:.1f} %"
         met = met and drift < condition.drift and tips >= condition.fingertips
     objects = ", ".join(row["object"] for row in mine)
     new = "" if trained_with(mine[0]) else "not trained with: "

@@ -15,7 +15,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-from common import Figure, Settings, check_chosen, progress, settings, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, check_chosen, progress, settings
 
 from dexctl.exceptions import InvalidInput
 from dexctl.report.machine import usable_cores

@@ -7,8 +7,8 @@ the guide sees everything.
 
 from __future__ import annotations
 
-from common import settings
 from learning_ablation import Ablation, Options, Variant
+from measuring.settings import settings
 
 POSITION, NORMAL, FORCE = "contact_position", "contact_normal", "contact_force"
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from common import settings
 from feedback import VARIANTS
 from learning_ablation import Ablation, Options
+from measuring.settings import settings
 from starts import TASKS
 
 _TASK = TASKS["cube_x"]

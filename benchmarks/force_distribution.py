@@ -15,18 +15,10 @@ from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import (
-    Figure,
-    Settings,
-    in_turns,
-    percent,
-    progress,
-    ratio,
-    settings,
-    share,
-    spread,
-    write,
-)
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import percent, share
+from measuring.timing import in_turns, ratio, spread
 from qpsolvers import Problem, available_solvers, solve_problem
 from scipy.spatial import ConvexHull
 

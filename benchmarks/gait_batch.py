@@ -13,19 +13,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from common import (
-    ENGINES,
-    THREADS,
-    Figure,
-    Settings,
-    controls,
-    engines,
-    progress,
-    settings,
-    spread,
-    timed,
-    write,
-)
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
+from measuring.timing import ENGINES, THREADS, engines, spread, timed
+from measuring.trials import controls
 from mujoco.rollout import Rollout
 
 from dexctl import controllers

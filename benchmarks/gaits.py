@@ -11,19 +11,10 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from common import (
-    PALMS,
-    Figure,
-    Settings,
-    earlier,
-    outcome,
-    percent,
-    percent_interval,
-    progress,
-    settings,
-    trials,
-    write,
-)
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import percent, percent_interval
+from measuring.trials import PALMS, outcome, trials
 
 import dexctl
 from dexctl import controllers

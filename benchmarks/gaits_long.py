@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from common import PALMS, Figure, Settings, earlier, outcome, progress, settings, trials, write
 from gaits import EASY, steadiness
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, progress, settings
+from measuring.trials import PALMS, outcome, trials
 
 import dexctl
 from dexctl import controllers

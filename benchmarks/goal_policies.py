@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from common import Figure, Settings, progress, settings, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
 
 from dexctl import controllers, hands
 from dexctl.controller import Controller

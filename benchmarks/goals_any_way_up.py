@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import check_chosen, progress, settings, write
 from goal_policies import (
     COLUMNS,
     SLOWLY,
@@ -32,6 +31,8 @@ from goal_policies import (
     title,
     train,
 )
+from measuring.results import write
+from measuring.settings import check_chosen, progress, settings
 
 from dexctl.sim import GraspStates
 from learning.evaluation import evaluate

@@ -18,21 +18,18 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from adding import COMMANDS, added, figures_of_adding, in_order, line_of_adding, table_of_adding
-from common import (
-    PALMS,
-    Figure,
-    Settings,
-    earlier,
-    over_seeds,
-    percent_interval,
-    progress,
-    read,
-    settings,
-    share,
-    trials,
-    write,
+from measuring.adding import (
+    COMMANDS,
+    added,
+    figures_of_adding,
+    in_order,
+    line_of_adding,
+    table_of_adding,
 )
+from measuring.results import Figure, earlier, read, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import over_seeds, percent_interval, share
+from measuring.trials import PALMS, trials
 
 from dexctl import HandModel, controllers, hands
 from dexctl.exceptions import DexctlError

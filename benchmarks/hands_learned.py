@@ -12,18 +12,9 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
-from common import (
-    Figure,
-    Settings,
-    check_chosen,
-    earlier,
-    over_seeds,
-    percent_interval,
-    progress,
-    settings,
-    share,
-    write,
-)
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, check_chosen, progress, settings
+from measuring.statistics import over_seeds, percent_interval, share
 
 from dexctl import hands
 from dexctl.exceptions import HandModelError, InvalidInput

@@ -16,21 +16,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from adding import process
-from common import (
-    FULL_TURN,
-    PALMS,
-    Figure,
-    Settings,
-    earlier,
-    outcome,
-    percent,
-    percent_interval,
-    progress,
-    settings,
-    trials,
-    write,
-)
+from measuring.adding import process
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import percent, percent_interval
+from measuring.trials import FULL_TURN, PALMS, outcome, trials
 
 from dexctl import HandModel, controllers, hands
 from dexctl.exceptions import DexctlError

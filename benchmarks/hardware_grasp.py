@@ -20,7 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Figure, Settings, over_seeds, progress, read, settings, share, write
+from measuring.results import Figure, read, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import over_seeds, share
 
 from dexctl import Controller, GraspState, controllers
 from dexctl.exceptions import MissingExtra

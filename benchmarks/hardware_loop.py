@@ -21,7 +21,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from common import Figure, Settings, in_turns, progress, settings, spread, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
+from measuring.timing import in_turns, spread
 
 import dexctl
 from dexctl import Controller

@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Figure, Settings, earlier, progress, settings, write
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, progress, settings
 
 from dexctl.settings import changed
 from dexctl.sim import SceneConfig

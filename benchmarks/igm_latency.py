@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import mink
 import mujoco
 import numpy as np
-from common import ENGINES, Figure, Settings, engines, in_turns, ratio, settings, spread, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, settings
+from measuring.timing import ENGINES, engines, in_turns, ratio, spread
 from qpsolvers import available_solvers
 
 import dexctl

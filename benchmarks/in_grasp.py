@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from common import PALMS, Figure, Settings, outcome, percent, progress, settings, trials, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import percent
+from measuring.trials import PALMS, outcome, trials
 
 import dexctl
 from dexctl.sim import SceneConfig

@@ -6,17 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import (
-    FULL_TURN,
-    Figure,
-    Settings,
-    earlier,
-    over_seeds,
-    progress,
-    settings,
-    share,
-    write,
-)
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import over_seeds, share
+from measuring.trials import FULL_TURN
 
 import dexctl
 from dexctl import controllers

@@ -24,9 +24,11 @@ from typing import Any
 import numpy as np
 import stable_baselines3
 import torch
-from common import THREADS, Figure, Settings, progress, ratio, settings, write
-from learner_profile import PARTS, profiled_ours, profiled_stock
-from stock import stock_sac
+from measuring.learner_profile import PARTS, profiled_ours, profiled_stock
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
+from measuring.stock import stock_sac
+from measuring.timing import THREADS, ratio
 
 from dexctl.settings import to_plain
 from dexctl.sim.scene_config import SceneConfig

@@ -12,7 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-from common import FULL_TURN, Settings, measure_with_seeds, over_seeds, settings, share, write
+from measuring.results import write
+from measuring.settings import Settings, settings
+from measuring.statistics import over_seeds, share
+from measuring.trainings import measure_with_seeds
+from measuring.trials import FULL_TURN
 
 from dexctl.settings import changed, get, to_plain
 from learning.config import TrainConfig, recipe

@@ -17,18 +17,10 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from common import (
-    FULL_TURN,
-    PALMS,
-    Figure,
-    Settings,
-    check_chosen,
-    progress,
-    read,
-    settings,
-    share,
-    write,
-)
+from measuring.results import Figure, read, write
+from measuring.settings import Settings, check_chosen, progress, settings
+from measuring.statistics import share
+from measuring.trials import FULL_TURN, PALMS
 from scipy.stats import mannwhitneyu
 
 from dexctl.exceptions import InvalidInput

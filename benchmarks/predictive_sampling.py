@@ -20,19 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import (
-    FIXED,
-    FULL_TURN,
-    Figure,
-    Settings,
-    check_chosen,
-    earlier,
-    over_seeds,
-    progress,
-    settings,
-    share,
-    write,
-)
+from measuring.results import FIXED, Figure, earlier, write
+from measuring.settings import Settings, check_chosen, progress, settings
+from measuring.statistics import over_seeds, share
+from measuring.trials import FULL_TURN
 
 from dexctl import controllers, hands
 from dexctl.controller import Controller
@@ -40,7 +31,7 @@ from dexctl.exceptions import InvalidInput
 from dexctl.sim import Scene, SceneConfig, Simulation, run
 from dexctl.state import Floats, GraspState
 
-SIDE = Path(__file__).resolve().with_name("judo_side.py")
+SIDE = Path(__file__).resolve().parent / "measuring" / "judo_side.py"
 SAMPLING = {
     "num_nodes": 4, "num_rollouts": 32, "use_noise_ramp": True, "noise_ramp": 4.0, "sigma": 0.2,
 }  # fmt: skip

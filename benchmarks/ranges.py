@@ -11,18 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import (
-    FIXED,
-    Settings,
-    check_chosen,
-    earlier,
-    over_seeds,
-    percent_interval,
-    progress,
-    settings,
-    share,
-    write,
-)
+from measuring.results import FIXED, earlier, write
+from measuring.settings import Settings, check_chosen, progress, settings
+from measuring.statistics import over_seeds, percent_interval, share
 
 from dexctl.files import aside
 from dexctl.report.style import INK, drawing, finger_colour, new_figure

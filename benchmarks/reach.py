@@ -13,21 +13,10 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from common import (
-    PALMS,
-    Figure,
-    Settings,
-    earlier,
-    outcome,
-    over_seeds,
-    percent,
-    percent_interval,
-    progress,
-    settings,
-    share,
-    trials,
-    write,
-)
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import over_seeds, percent, percent_interval, share
+from measuring.trials import PALMS, outcome, trials
 
 import dexctl
 from dexctl.igm import InGraspManipulationChanges, Share

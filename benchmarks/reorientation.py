@@ -11,18 +11,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from common import (
-    FIXED,
-    FULL_TURN,
-    Figure,
-    Settings,
-    check_chosen,
-    earlier,
-    progress,
-    settings,
-    write,
-)
-from poses import Pose, known
+from measuring.poses import Pose, known
+from measuring.results import FIXED, Figure, earlier, write
+from measuring.settings import Settings, check_chosen, progress, settings
+from measuring.trials import FULL_TURN
 
 from dexctl.gait import CommandedTurning, GoalPursuit, GoalSequence
 from dexctl.planning import sample_grasps

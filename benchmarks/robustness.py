@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from common import Settings, measure_in_scenes, settings, trials
+from measuring.settings import Settings, settings
+from measuring.trials import measure_in_scenes, trials
 from numpy.typing import ArrayLike
 
 import dexctl

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import over_seeds, percent_interval, settings, share
 from conditions import EASY
 from learning_ablation import Ablation, Options, Variant
+from measuring.settings import settings
+from measuring.statistics import over_seeds, percent_interval, share
 
 from dexctl.sim import SceneConfig
 from dexctl.sim.conditions import CONDITIONS, under

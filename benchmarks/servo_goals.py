@@ -13,19 +13,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from common import (
-    FIXED,
-    PALMS,
-    Figure,
-    Settings,
-    measure_by_palm,
-    percent_interval,
-    seen_or_felt,
-    settings,
-    share,
-    write,
-)
-from poses import BY_LATE
+from measuring.poses import BY_LATE
+from measuring.results import FIXED, Figure, write
+from measuring.servo import measure_by_palm, seen_or_felt
+from measuring.settings import Settings, settings
+from measuring.statistics import percent_interval, share
+from measuring.trials import PALMS
 from scipy.spatial.transform import Rotation
 
 NEAR = 0.2

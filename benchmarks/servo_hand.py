@@ -16,21 +16,12 @@ from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from common import (
-    FULL_TURN,
-    Figure,
-    Settings,
-    earlier,
-    emulated_run,
-    over_seeds,
-    percent_interval,
-    progress,
-    settings,
-    share,
-    side_by_side,
-    write,
-)
-from poses import LATE, by_tracker
+from measuring.poses import LATE, by_tracker
+from measuring.results import Figure, earlier, write
+from measuring.servo import emulated_run, side_by_side
+from measuring.settings import Settings, progress, settings
+from measuring.statistics import over_seeds, percent_interval, share
+from measuring.trials import FULL_TURN
 
 from learning.evaluation import open_subject
 

@@ -12,19 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import (
-    FIXED,
-    PALMS,
-    Figure,
-    Settings,
-    measure_by_palm,
-    over_seeds,
-    percent_interval,
-    seen_or_felt,
-    settings,
-    share,
-    write,
-)
+from measuring.results import FIXED, Figure, write
+from measuring.servo import measure_by_palm, seen_or_felt
+from measuring.settings import Settings, settings
+from measuring.statistics import over_seeds, percent_interval, share
+from measuring.trials import PALMS
 
 AXES = (
     (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1),

@@ -15,7 +15,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from common import THREADS, Figure, Settings, controls, progress, ratio, settings, timed, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
+from measuring.timing import THREADS, ratio, timed
+from measuring.trials import controls
 from mujoco.rollout import Rollout
 
 from dexctl.sim import BatchSimulator, Scene, SimulatorState

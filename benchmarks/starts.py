@@ -17,19 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import (
-    FULL_TURN,
-    Figure,
-    Settings,
-    check_chosen,
-    earlier,
-    over_seeds,
-    percent_interval,
-    progress,
-    settings,
-    share,
-    write,
-)
+from measuring.results import Figure, earlier, write
+from measuring.settings import Settings, check_chosen, progress, settings
+from measuring.statistics import over_seeds, percent_interval, share
+from measuring.trials import FULL_TURN
 
 from dexctl.controllers import is_named
 from dexctl.planning import Kinematic, Stability, Tree, grow, path_states

@@ -12,20 +12,10 @@ from itertools import product
 from math import pi
 from typing import Any, Literal, NamedTuple
 
-from common import (
-    FIXED,
-    Figure,
-    Settings,
-    check_chosen,
-    earlier,
-    over_seeds,
-    percent_interval,
-    progress,
-    settings,
-    share,
-    write,
-)
-from poses import BY_LATE, Pose, known
+from measuring.poses import BY_LATE, Pose, known
+from measuring.results import FIXED, Figure, earlier, write
+from measuring.settings import Settings, check_chosen, progress, settings
+from measuring.statistics import over_seeds, percent_interval, share
 
 from dexctl.settings import changed
 from dexctl.sim.objects import object_names

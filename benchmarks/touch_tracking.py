@@ -14,7 +14,9 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from common import Figure, Settings, in_turns, progress, ratio, settings, spread, write
+from measuring.results import Figure, write
+from measuring.settings import Settings, progress, settings
+from measuring.timing import in_turns, ratio, spread
 from scipy.optimize import least_squares
 
 from dexctl import GraspState, HandModel, controllers

@@ -169,10 +169,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int | None]:
 
 
 def test_every_script_is_run_here() -> None:
-    scripts = {path.name for path in FOLDER.glob("*.py")} - {
-        "common.py", "readme.py", "learner_profile.py", "learning_curves.py", "sides.py",
-        "stock.py", "judo_side.py", "adding.py", "poses.py",
-    }  # fmt: skip
+    scripts = {path.name for path in FOLDER.glob("*.py")} - {"readme.py", "learning_curves.py"}
     assert scripts == set(RUNS)
 
 
@@ -331,7 +328,7 @@ def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
 
 def test_what_it_takes_to_add_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(FOLDER)
-    adding = importlib.import_module("adding")
+    adding = importlib.import_module("measuring.adding")
     held = {
         palm: adding.counted("16 of 16 disturbed grasps of the cube") for palm in ("up", "down")
     }
@@ -443,7 +440,7 @@ def test_rows_keep_the_settings_that_they_were_measured_with(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(FOLDER)
-    common, ranges = (importlib.import_module(name) for name in ("common", "ranges"))
+    results, ranges = (importlib.import_module(name) for name in ("measuring.results", "ranges"))
     given = [ranges.Options(out=tmp_path, resume=True, object=name) for name in ("cube", "sphere")]
 
     def objects_of_rows() -> list[str | None]:
@@ -453,11 +450,11 @@ def test_rows_keep_the_settings_that_they_were_measured_with(
         return [None if number is None else known[number]["object"] for number in numbers]
 
     path = tmp_path / "some.json"
-    common.write("some", given[0], [], trials=[{"row": 0}, {"row": 1}], say=False)
+    results.write("some", given[0], [], trials=[{"row": 0}, {"row": 1}], say=False)
     assert objects_of_rows() == ["cube", "cube"]
     for _ in range(2):  # what is taken over twice stays the same
-        rows = [*common.earlier("some", given[1])[:2], {"row": 2}]
-        common.write("some", given[1], [], trials=rows, say=False)
+        rows = [*results.earlier("some", given[1])[:2], {"row": 2}]
+        results.write("some", given[1], [], trials=rows, say=False)
         assert objects_of_rows() == ["cube", "cube", "sphere"]
         found = json.loads(path.read_text())
         assert len(found["measured_with"]) == 2
@@ -466,8 +463,8 @@ def test_rows_keep_the_settings_that_they_were_measured_with(
         del row["measured_with"]
     del found["measured_with"]
     path.write_text(json.dumps(found))
-    rows = [*common.earlier("some", given[0]), {"row": 3}]
-    common.write("some", given[0], [], trials=rows, say=False)
+    rows = [*results.earlier("some", given[0]), {"row": 3}]
+    results.write("some", given[0], [], trials=rows, say=False)
     assert objects_of_rows() == [None, None, None, "cube"]
 
 
@@ -475,12 +472,12 @@ def test_other_settings_do_not_write_over_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(FOLDER)
-    common, ranges = (importlib.import_module(name) for name in ("common", "ranges"))
-    common.write("some", ranges.Options(out=tmp_path, trials=3), [], trials=[{}], say=False)
+    results, ranges = (importlib.import_module(name) for name in ("measuring.results", "ranges"))
+    results.write("some", ranges.Options(out=tmp_path, trials=3), [], trials=[{}], say=False)
     given = ranges.Options(out=tmp_path, trials=4, resume=True)
     with pytest.raises(InvalidInput, match="was measured with --trials 3; expected these, or no"):
-        common.earlier("some", given)
-    assert len(common.earlier("some", replace(given, trials=3))) == 1
+        results.earlier("some", given)
+    assert len(results.earlier("some", replace(given, trials=3))) == 1
 
 
 def test_results_are_there() -> None:
@@ -539,14 +536,16 @@ def test_trials_by_another_pose_are_not_taken_for_those_that_are_wanted(
 ) -> None:
     """Rows from before there was a choice are by touch; they kept those by a tracker undone."""
     monkeypatch.syspath_prepend(FOLDER)
-    common, servo_goals = (importlib.import_module(name) for name in ("common", "servo_goals"))
+    servo, servo_goals = (
+        importlib.import_module(name) for name in ("measuring.servo", "servo_goals")
+    )
     old = {"who": "a", "palm": "up", "seed": 40_000}
-    monkeypatch.setattr(common, "earlier", lambda *_: [old])
-    monkeypatch.setattr(common, "progress", lambda *_: None)
+    monkeypatch.setattr(servo, "earlier", lambda *_: [old])
+    monkeypatch.setattr(servo, "progress", lambda *_: None)
     for pose, tried in (("late", 1), ("touch", 0)):
         given = servo_goals.Options(who=("a",), palms=("up",), trials=1, pose=pose, out=tmp_path)
         kept: list[int] = []
-        common.measure_by_palm(
+        servo.measure_by_palm(
             "servo_goals", given, (),
             lambda who, palm, number, given: {"who": who, "palm": palm, "pose": given.pose},
             lambda rows, given, say, kept=kept: kept.append(len(rows)),

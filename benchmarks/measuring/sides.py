@@ -12,7 +12,6 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers import RescaleAction
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stock import stock_ppo, stock_sac
 
 from learning.algorithms import Algorithm, Transitions, make
 from learning.algorithms.config import PPOConfig, SACConfig, TD3Config
@@ -21,6 +20,7 @@ from learning.envs.vector import make_vector
 from learning.policies.policy import ACTIVATIONS
 from learning.training.run_folder import RunFolder
 from learning.training.trainer import Trainer
+from measuring.stock import stock_ppo, stock_sac
 
 Own = SACConfig | TD3Config | PPOConfig
 

@@ -16,9 +16,11 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from common import PALMS, Figure, share
 
 from dexctl.cli.hand_checks import HELD_SHARE
+from measuring.results import Figure
+from measuring.statistics import share
+from measuring.trials import PALMS
 
 COMMANDS = ("dexctl hands add FILE", "dexctl hands check MY_HAND.toml")
 """The first one writes a grasp that holds; the second one shows that it does."""

@@ -1,0 +1,1 @@
+"""What benchmarks share: settings, results, timing, trials and statistics."""
