@@ -144,6 +144,7 @@ def _figures(one: Evaluation) -> Table:
             ("only fingertips touch", "share_fingertips_only", "%", 0, 100.0),
             ("sinks by", "sink_median_m", "mm", 1, 1e3),
             ("drifts by", "drift_median_m", "mm", 1, 1e3),
+            ("on average by", "mean_drift_median_m", "mm", 1, 1e3),
         )
         if figure in figures
     )

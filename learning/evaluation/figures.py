@@ -49,6 +49,7 @@ class Evaluation:
         fingertips_only: share of the time held in which nothing but fingertips touched.
         drift: how far the object's centre was from where it started, at most, while it was held
             [m].
+        mean_drift: the same on average over the time held [m].
         sink: the same along gravity, as it was in that episode at that time; 0 where it never was
             below its start, or where there is no gravity [m].
         moments: times ``(K,)`` [s], from 0 to the end.
@@ -70,6 +71,7 @@ class Evaluation:
     first_goal_time: Floats
     fingertips_only: Floats
     drift: Floats
+    mean_drift: Floats
     sink: Floats
     moments: Floats
     rotations: Floats
@@ -106,6 +108,7 @@ class Evaluation:
             first_goal_time=goals.first_time,
             fingertips_only=alone / counts.sum(axis=0),
             drift=np.where(counts, away, 0.0).max(axis=0),
+            mean_drift=np.where(counts, away, 0.0).sum(axis=0) / counts.sum(axis=0),
             sink=np.where(counts, sunk(trace, judged.gravity), 0.0).max(axis=0),
             moments=trace.time[moments],
             rotations=rotation[moments],
@@ -162,6 +165,7 @@ class Evaluation:
             "share_full_turn": wilson(int((self.rotation >= FULL_TURN).sum()), count),
             "share_fingertips_only": bootstrap(self.fingertips_only, "mean"),
             "drift_median_m": bootstrap(self.drift, "median"),
+            "mean_drift_median_m": bootstrap(self.mean_drift, "median"),
             "sink_median_m": bootstrap(self.sink, "median"),
         }
 

@@ -24,14 +24,14 @@ def write_episodes(
     """One row for each episode; the names of the ``conditions`` stand in each."""
     outcome = [
         "rotation_rad", "time_held_s", "dropped", "strayed", "time_near_s", "diverged", "return",
-        "fingertips_only_share", "drift_m", "sink_m",
+        "fingertips_only_share", "drift_m", "mean_drift_m", "sink_m",
         "goals_reached", "goals_missed", "goals_in_a_row", "first_goal_s",
     ]  # fmt: skip
     rows = []
     for one in evaluations:
         columns = (
             one.rotation, one.time_held, one.dropped, one.strayed, one.time_near, one.diverged,
-            one.returns, one.fingertips_only, one.drift, one.sink,
+            one.returns, one.fingertips_only, one.drift, one.mean_drift, one.sink,
             one.goals_reached, one.goals_missed, one.goals_in_a_row, one.first_goal_time,
         )  # fmt: skip
         for i, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):

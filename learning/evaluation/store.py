@@ -27,7 +27,7 @@ from learning.evaluation.robustness import levels_of
 from learning.evaluation.rollout import Progress, evaluate, one_object
 from learning.evaluation.subject import Subject
 
-FORMAT = 4
+FORMAT = 5
 _ARRAYS = [field.name for field in fields(Evaluation) if field.name not in ("object", "protocol")]
 
 

@@ -95,6 +95,7 @@ def _overview(found: Inspection) -> str:
         ("sound grasp", f"{percent(found.grip()['sound_share'])} of the time held"),
         ("sinks by", interval(figure["sink_median_m"], "mm", 1, 1e3)),
         ("drifts by", interval(figure["drift_median_m"], "mm", 1, 1e3)),
+        ("on average by", interval(figure["mean_drift_median_m"], "mm", 1, 1e3)),
     ]
     if found.subject.kind != "controller":
         card = found.subject.card or {}

@@ -53,6 +53,7 @@ def made(rotation: list[float], held: list[float], dropped: list[bool]) -> Evalu
         first_goal_time=np.array([4.0, np.inf, 6.0, np.inf])[:count],
         fingertips_only=np.arange(count) / (count - 1.0),
         drift=np.arange(count) / 100.0,
+        mean_drift=np.arange(count) / 400.0,
         sink=np.arange(count) / 200.0,
         moments=np.zeros(0),
         rotations=np.zeros((0, count)),
@@ -70,6 +71,7 @@ def test_figures_by_hand() -> None:
     assert figures["time_held_median_s"].value == 35.0
     assert figures["share_fingertips_only"].value == 0.5
     assert figures["drift_median_m"].value == pytest.approx(0.015)
+    assert figures["mean_drift_median_m"].value == pytest.approx(0.00375)
     assert figures["sink_median_m"].value == pytest.approx(0.0075)
     told = json.loads(json.dumps(found.to_dict()))
     assert told["share_dropped"]["count"] == 4
@@ -157,6 +159,8 @@ def test_drift_is_any_way_and_sinking_along_the_gravity_of_each_episode() -> Non
     moved = found.trace.object_position - found.trace.object_position[0]
     np.testing.assert_allclose(drift, np.linalg.norm(moved, axis=-1).max(axis=0))
     assert ((sink > 0) & (sink <= drift)).all()
+    away = np.linalg.norm(moved, axis=-1)
+    np.testing.assert_allclose(found.evaluation.mean_drift, away.mean(axis=0))
     fixed = rollout(open_subject("coordinated"), changed(SHORT, {"object": "cube"}))
     moved = fixed.trace.object_position - fixed.trace.object_position[0]
     np.testing.assert_allclose(fixed.evaluation.sink, (-moved[..., 2]).max(axis=0))

@@ -49,6 +49,7 @@ def run(who: Any, protocol=None, *, object=None, progress=None) -> Evaluation:  
         returns=10 * rotation,
         fingertips_only=np.ones(3),
         drift=np.zeros(3),
+        mean_drift=np.zeros(3),
         sink=np.zeros(3),
         moments=np.zeros(0),
         rotations=np.zeros((0, 3)),
