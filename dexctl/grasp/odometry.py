@@ -11,6 +11,7 @@ import numpy as np
 from dexctl.configuration import HandConfiguration
 from dexctl.enclosing import enclosing_centre
 from dexctl.grasp.contacts import grasp_map
+from dexctl.grasp.placed import placed
 from dexctl.hand import HandModel
 from dexctl.rotations import multiply
 from dexctl.saved import check_names, copies, fill
@@ -105,14 +106,22 @@ class ContactOdometry:
         fill("odometry", self._arrays(), saved)
 
     def place(self, rows: Bools, position: Floats, quaternion: Floats | None = None) -> None:
-        """The objects in ``rows`` are there, ``(K, 3)`` [m], whatever happened before.
+        """The objects in ``rows`` are there, whatever happened before.
 
-        ``quaternion`` is ``(K, 4)``; None: what follows is relative to how they are turned now.
+        Args:
+            rows: ``(N,)`` bool, K of them true.
+            position: ``(K, 3)`` [m], or one ``(3,)`` for all.
+            quaternion: wxyz, ``(K, 4)``, or one ``(4,)`` for all; None: what follows is relative
+                to how they are turned now.
+
+        Raises:
+            InvalidInput: wrong shapes, numbers not finite, or no unit quaternions.
         """
-        self.position[rows] = position
-        self.quaternion[rows] = (1.0, 0.0, 0.0, 0.0) if quaternion is None else quaternion
-        self._holding = self._holding & ~rows[:, None]
-        self._placed = self._placed | rows
+        turned = np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion
+        chosen, place, turn = placed(rows, len(self._placed), position, turned)
+        self.position[chosen], self.quaternion[chosen] = place, turn
+        self._holding = self._holding & ~chosen[:, None]
+        self._placed = self._placed | chosen
         self._following = False
 
     def follow(self, position: Floats, quaternion: Floats | None) -> None:

@@ -12,6 +12,7 @@ from dexctl.configuration import HandConfiguration
 from dexctl.enclosing import enclosing_centre
 from dexctl.exceptions import InvalidInput
 from dexctl.grasp.contacts import grasp_map
+from dexctl.grasp.placed import placed
 from dexctl.hand import HandModel
 from dexctl.rotations import (
     from_rotation_vector,
@@ -24,12 +25,9 @@ from dexctl.rotations import (
 from dexctl.saved import check_names, copies, fill
 from dexctl.state import Bools, Floats, GraspState
 from dexctl.validation import (
-    check_mask,
     check_numbers,
     number,
-    numbers,
     shown,
-    unit_quaternions,
     with_changes,
 )
 
@@ -228,17 +226,7 @@ class TouchTracking:
         Raises:
             InvalidInput: wrong shapes, numbers not finite, or no unit quaternions.
         """
-        chosen, turn = (
-            check_mask(rows, self._fresh.shape),
-            unit_quaternions("quaternion", quaternion),
-        )
-        place, count = numbers("position", position, "positions [m]"), int(chosen.sum())
-        for name, array, size in (("position", place, 3), ("quaternion", turn, 4)):
-            if array.shape not in ((size,), (count, size)) or not np.isfinite(array).all():
-                raise InvalidInput(
-                    f"{name} is {shown(array)}; expected {size} finite numbers, or {count} "
-                    f"times {size}"
-                )
+        chosen, place, turn = placed(rows, len(self._fresh), position, quaternion)
         self.position[chosen], self.quaternion[chosen] = place, turn
         self.covariance[chosen], self._step[chosen] = self._unsure, 0.0
         self._holding[chosen], self._fresh[chosen] = False, True

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dexctl import ContactSwitch, GraspState, HandModel, InGraspManipulation
+from dexctl import ContactSwitch, GraspState, HandModel, InGraspManipulation, InvalidInput
 from dexctl.gait import CoordinatedGait
 from dexctl.grasp.odometry import ContactOdometry
 from dexctl.igm import InGraspManipulationConfig
@@ -74,6 +74,23 @@ def test_it_goes_on_from_where_tracking_ended(dex5: HandModel) -> None:
     np.testing.assert_array_equal(odometry.position, [[0.0] * 3, [0.1] * 3])
     np.testing.assert_array_equal(odometry.quaternion, [[1, 0, 0, 0], [0.6, 0.8, 0, 0]])
     np.testing.assert_array_equal(position, 0.1)  # the caller's array is not written to
+
+
+def test_a_wrong_place_is_refused_and_nothing_is_lost(dex5: HandModel) -> None:
+    odometry = ContactOdometry(dex5, 0.05)
+    odometry.start(2)
+    first, centre = np.array([True, False]), np.full(3, 0.1)
+    odometry.place(first, centre)
+    for rows, place, turn, said in (
+        (np.array([True]), centre, None, "mask has shape"),
+        (first, centre[:2], None, "expected 3 finite numbers, or 1 times 3"),
+        (first, [0.0, np.nan, 0.0], None, "position is array"),
+        (first, centre, np.array([2.0, 0.0, 0.0, 0.0]), "expected a unit quaternion"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            odometry.place(rows, place, turn)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(odometry.position, [[0.1] * 3, [0.0] * 3])
+    np.testing.assert_array_equal(odometry.quaternion, [[1, 0, 0, 0]] * 2)
 
 
 def test_objects_begin_at_their_contacts_and_again_when_forgotten(dex5: HandModel) -> None:
