@@ -49,7 +49,8 @@ class SceneConfig:
     """Name of the hand (`dexctl hands list` has them), or its file: a toml that `dexctl hands add`
     wrote, or an MJCF or URDF where what can be guessed from it suffices."""
     object: tuple[str, ...] = ("cube",)
-    """Name of the object, or of several; the environments of a batch are shared out among them."""
+    """Name of the object, or of several; the environments of a batch are shared out among them,
+    and one that is named twice has twice the share."""
     object_size: float | None = None
     """Width of the object [m]; none: what suits the hand."""
     object_mass: float | None = None

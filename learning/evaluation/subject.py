@@ -54,7 +54,7 @@ class Subject:
     def objects(self) -> tuple[str, ...]:
         """What it was trained with, or made for; empty where nobody knows."""
         if self.trained is not None:
-            return self.trained.env.scene.object
+            return tuple(dict.fromkeys(self.trained.env.scene.object))
         return () if self.controller.object is None else (self.controller.object,)
 
     @property

@@ -67,9 +67,12 @@ class PlannedStarts(Starts):
             states = GraspStates.load(path)
         else:
             start = perf_counter()
-            scenes = [group.scene for group in simulation.sim.groups]
+            # an object named twice has two groups of environments, and is planned once
+            scenes = {group.scene.object: group.scene for group in simulation.sim.groups}
             remark(self._beginning())
-            states = GraspStates.concatenate([self._made(scene, remark) for scene in scenes])
+            states = GraspStates.concatenate(
+                [self._made(scene, remark) for scene in scenes.values()]
+            )
             states.save(path)
             remark(
                 f"{len(states)} states to start from in {path}, made in "

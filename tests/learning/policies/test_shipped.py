@@ -17,6 +17,7 @@ import dexctl
 from dexctl import controllers
 from dexctl.controllers import paced
 from dexctl.exceptions import InvalidInput, UnknownName
+from dexctl.settings import changed
 from learning import policies
 from learning.evaluation import evaluate, open_subject
 from learning.policies.file import read
@@ -112,6 +113,14 @@ def test_learned_is_a_controller_of_that_name(dex5: dexctl.HandModel, hand_of: H
     assert len(open_subject("learned").objects) == 5
     assert policy.card == open_subject("learned").card
     assert open_subject("dex5-cylinder").objects == ("cylinder",)
+
+
+def test_objects_of_a_training_are_told_once() -> None:
+    """One named twice was met twice as often."""
+    subject = open_subject("dex5-cylinder")
+    assert subject.trained is not None
+    often = changed(subject.trained, {"object": ("cube", "cylinder", "cube")})
+    assert replace(subject, trained=often).objects == ("cube", "cylinder")
 
 
 def test_learned_is_for_the_object_that_suits_the_hand(hand_of: Hands) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -74,6 +75,18 @@ def test_paths_and_grasps_are_planned_once(tmp_path: Path, said: list[str]) -> N
     grasps = replace(config, start_from="grasps", start_count=5)
     make_starts(grasps, env(4), 0).begin(tmp_path / "grasps.npz", said.append)
     assert len(GraspStates.load(tmp_path / "grasps.npz")) == 5
+
+
+def test_an_object_named_twice_is_met_twice_as_often_and_planned_once(
+    tmp_path: Path, said: list[str]
+) -> None:
+    path = tmp_path / "starts.npz"
+    config = StartsConfig(start_from="grasps", start_count=3, start_seconds=20)
+    made = env(6, object=("cylinder", "cube", "cylinder"))
+    assert Counter(made.objects) == {"cylinder": 4, "cube": 2}
+    make_starts(config, made, 0).begin(path, said.append)
+    assert [line.split(":")[0] for line in said[1:-1]] == ["cylinder", "cube"]
+    assert Counter(GraspStates.load(path).object.tolist()) == {"cylinder": 3, "cube": 3}
 
 
 def test_trees_and_samples_take_their_settings(tmp_path: Path, said: list[str]) -> None:
