@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from dexctl.exceptions import DexctlError, InvalidInput
@@ -81,6 +82,13 @@ def measure_with_seeds(
 def _same(had: Mapping[str, Any], wanted: TrainConfig) -> bool:
     """Whether a row's configuration is this one; settings that came later have their defaults."""
     try:
-        return from_plain(type(wanted), had).with_mass() == wanted.with_mass()
+        return _decisive(from_plain(type(wanted), had)) == _decisive(wanted)
     except DexctlError:  # it has one that there is no longer
         return False
+
+
+def _decisive(config: TrainConfig) -> TrainConfig:
+    """The same with the mass said, and without settings of trees that grow in other ways."""
+    starts = config.starts
+    tree = replace(type(starts.tree)(), **{starts.tree_expand: starts.expansion})
+    return replace(config.with_mass(), starts=replace(starts, tree=tree))

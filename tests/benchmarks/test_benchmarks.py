@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from dexctl.exceptions import DexctlError, InvalidInput
+from dexctl.settings import changed, to_plain
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "benchmarks"
@@ -316,6 +317,22 @@ def test_trainings_with_other_settings_are_not_written_over(tmp_path: Path, here
     rows = json.loads(path.read_text())["trials"]
     assert [row | {"measured_with": None} for row in json.loads(before)["trials"]] == rows
     assert not (tmp_path / "runs").exists()
+
+
+def test_settings_of_trees_that_were_not_grown_tell_no_trainings_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("torch", reason="needs the extra 'learning'")
+    from learning.config import TrainConfig
+
+    monkeypatch.syspath_prepend(FOLDER)
+    same = importlib.import_module("measuring.trainings")._same
+    for name, value, alike in (
+        ("starts.tree.controllers.gait.in_grasp.reach_margin", 0.03, True),
+        ("starts.tree.kinematic.friction", 0.7, False),
+        ("steps", 1234, False),
+    ):
+        assert same(to_plain(changed(TrainConfig(), {name: value})), TrainConfig()) is alike, name
 
 
 def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
