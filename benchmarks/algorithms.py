@@ -4,7 +4,7 @@ Both sides have the same environments, networks, batches, updates for each step,
 learning rate. They train in one process of one thread, in turns of some steps each, so that both
 meet the same load; ours does not let environments and updates overlap here. Beside the wall clock,
 which the machine's other work disturbs, the processor time is measured. What PPO of either side
-has beyond its settings stays as it is: see `stock.stock_ppo`.
+has beyond its settings stays as it is: see `measuring.stock.stock_ppo`.
 
 The deterministic policies are evaluated with seeds other than those of training. The hand turns
 the cylinder without any controller's guidance, so that these few steps show how soon something is

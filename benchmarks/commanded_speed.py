@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from measuring.results import Figure, earlier, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 
 from dexctl.settings import changed
 from learning.config import TrainConfig, recipe

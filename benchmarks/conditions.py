@@ -14,7 +14,7 @@ import numpy as np
 from measuring.poses import BY_LATE, LATE
 from measuring.results import Figure, earlier, write
 from measuring.settings import Settings, check_chosen, progress, settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 from measuring.trials import FULL_TURN
 
 from dexctl.controllers import paced

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from measuring.results import Figure, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import percent, share
+from measuring.shares import percent, share
 from measuring.timing import in_turns, ratio, spread
 from qpsolvers import Problem, available_solvers, solve_problem
 from scipy.spatial import ConvexHull

@@ -28,7 +28,7 @@ from measuring.adding import (
 )
 from measuring.results import Figure, earlier, read, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 from measuring.trials import PALMS, trials
 
 from dexctl import HandModel, controllers, hands

@@ -14,7 +14,7 @@ from typing import Any
 
 from measuring.results import Figure, earlier, write
 from measuring.settings import Settings, check_chosen, progress, settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 
 from dexctl import hands
 from dexctl.exceptions import HandModelError, InvalidInput

@@ -19,7 +19,7 @@ from typing import Any
 from measuring.adding import process
 from measuring.results import Figure, earlier, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import percent, percent_interval
+from measuring.shares import percent, percent_interval
 from measuring.trials import FULL_TURN, PALMS, outcome, trials
 
 from dexctl import HandModel, controllers, hands

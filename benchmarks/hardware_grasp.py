@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from measuring.results import Figure, read, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import over_seeds, share
+from measuring.shares import over_seeds, share
 
 from dexctl import Controller, GraspState, controllers
 from dexctl.exceptions import MissingExtra

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from measuring.results import Figure, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import percent
+from measuring.shares import percent
 from measuring.trials import PALMS, outcome, trials
 
 import dexctl

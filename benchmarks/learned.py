@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from measuring.results import Figure, earlier, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import over_seeds, share
+from measuring.shares import over_seeds, share
 from measuring.trials import FULL_TURN
 
 import dexctl

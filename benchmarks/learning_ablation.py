@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from measuring.results import write
 from measuring.settings import Settings, settings
-from measuring.statistics import over_seeds, share
+from measuring.shares import over_seeds, share
 from measuring.trainings import measure_with_seeds
 from measuring.trials import FULL_TURN
 

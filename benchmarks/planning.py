@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from measuring.results import Figure, read, write
 from measuring.settings import Settings, check_chosen, progress, settings
-from measuring.statistics import share
+from measuring.shares import share
 from measuring.trials import FULL_TURN, PALMS
 from scipy.stats import mannwhitneyu
 

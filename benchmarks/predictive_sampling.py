@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from measuring.results import FIXED, Figure, earlier, write
 from measuring.settings import Settings, check_chosen, progress, settings
-from measuring.statistics import over_seeds, share
+from measuring.shares import over_seeds, share
 from measuring.trials import FULL_TURN
 
 from dexctl import controllers, hands

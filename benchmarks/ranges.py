@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from measuring.results import FIXED, earlier, write
 from measuring.settings import Settings, check_chosen, progress, settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 
 from dexctl.files import aside
 from dexctl.report.style import INK, drawing, finger_colour, new_figure

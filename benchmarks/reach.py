@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from measuring.results import Figure, earlier, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import over_seeds, percent, percent_interval, share
+from measuring.shares import over_seeds, percent, percent_interval, share
 from measuring.trials import PALMS, outcome, trials
 
 import dexctl

@@ -14,7 +14,7 @@ import numpy as np
 from conditions import EASY
 from learning_ablation import Ablation, Options, Variant
 from measuring.settings import settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 
 from dexctl.sim import SceneConfig
 from dexctl.sim.conditions import CONDITIONS, under

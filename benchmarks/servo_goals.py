@@ -17,7 +17,7 @@ from measuring.poses import BY_LATE
 from measuring.results import FIXED, Figure, write
 from measuring.servo import measure_by_palm, seen_or_felt
 from measuring.settings import Settings, settings
-from measuring.statistics import percent_interval, share
+from measuring.shares import percent_interval, share
 from measuring.trials import PALMS
 from scipy.spatial.transform import Rotation
 

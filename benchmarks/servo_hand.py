@@ -20,7 +20,7 @@ from measuring.poses import LATE, by_tracker
 from measuring.results import Figure, earlier, write
 from measuring.servo import emulated_run, side_by_side
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 from measuring.trials import FULL_TURN
 
 from learning.evaluation import open_subject

@@ -15,7 +15,7 @@ import numpy as np
 from measuring.results import FIXED, Figure, write
 from measuring.servo import measure_by_palm, seen_or_felt
 from measuring.settings import Settings, settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 from measuring.trials import PALMS
 
 AXES = (

@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 from measuring.poses import BY_LATE, Pose, known
 from measuring.results import FIXED, Figure, earlier, write
 from measuring.settings import Settings, check_chosen, progress, settings
-from measuring.statistics import over_seeds, percent_interval, share
+from measuring.shares import over_seeds, percent_interval, share
 
 from dexctl.settings import changed
 from dexctl.sim.objects import object_names

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from measuring.results import Figure, earlier, write
 from measuring.settings import Settings, progress, settings
-from measuring.statistics import percent, percent_interval
+from measuring.shares import percent, percent_interval
 from measuring.trials import PALMS, outcome, trials
 
 import dexctl

@@ -19,7 +19,7 @@ import numpy as np
 
 from dexctl.cli.hand_checks import HELD_SHARE
 from measuring.results import Figure
-from measuring.statistics import share
+from measuring.shares import share
 from measuring.trials import PALMS
 
 COMMANDS = ("dexctl hands add FILE", "dexctl hands check MY_HAND.toml")

@@ -13,7 +13,7 @@ from dexctl.rotations import inverse, multiply
 from dexctl.sim import Scene, SceneConfig, Simulation, Trace, run
 from measuring.results import earlier, write
 from measuring.settings import check_chosen, progress
-from measuring.statistics import over_seeds, percent_interval, rounded, share
+from measuring.shares import over_seeds, percent_interval, rounded, share
 
 FULL_TURN = 2 * np.pi
 PALMS = ("up", "down")

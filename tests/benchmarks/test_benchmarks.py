@@ -335,6 +335,12 @@ def test_settings_of_trees_that_were_not_grown_tell_no_trainings_apart(
         assert same(to_plain(changed(TrainConfig(), {name: value})), TrainConfig()) is alike, name
 
 
+def test_no_shared_module_hides_one_of_the_standard_library() -> None:
+    """One of them runs as a script, by whose folder others are found first."""
+    shared = {path.stem for path in (FOLDER / "measuring").glob("[!_]*.py")}
+    assert shared and not shared & sys.stdlib_module_names
+
+
 def test_hands_without_their_files_are_said_so(tmp_path: Path) -> None:
     done = run("hands_turning.py", *SHORT, "--out", tmp_path, "--folder", tmp_path)
     assert done.returncode == 0, done.stderr
